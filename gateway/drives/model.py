@@ -1,0 +1,83 @@
+"""A drive model: its registers, its block forms, its times and how it says who it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from gateway.drives.register import Derived, Register
+
+
+@dataclass(frozen=True, slots=True)
+class BlockForms:
+    """Which block forms a model has; a count of 0 says that it has not got the form.
+
+    The indirect block carries the values that the selectors F875-F879 name; a direct block carries
+    consecutive numbers, 8000H where none exists. `direct_ranges` are the numbers for which the manual
+    shows direct blocks; elsewhere a drive may refuse them, which is found out by trying.
+    """
+
+    indirect_read_address: int = 0
+    indirect_read_minimum: int = 0
+    indirect_read_maximum: int = 0
+    indirect_write_address: int = 0
+    indirect_write_words: int = 0
+    has_exchange: bool = False
+    direct_read_maximum: int = 0
+    direct_ranges: tuple[tuple[int, int], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class DriveTimes:
+    """How long a model may take, in seconds (response time, Appendix 2 of the manuals)."""
+
+    processing: float = 0.015
+    eeprom: float = 0.050
+    start_up: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Connector:
+    """The names of the communication parameters of one RS485 connector, by their role.
+
+    Roles: baud_rate, parity, number, timeout, timeout_action, wait_time, timeout_detection, protocol,
+    block_write (2 names), block_read (5 names).
+    """
+
+    name: str
+    parameters: Mapping[str, str] = field(default_factory=dict)
+    block_write: tuple[str, ...] = ()
+    block_read: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """One drive model of the catalogue.
+
+    `identity` begins the device reference that a drive of this model answers to 2BH; empty where unknown.
+    `read_selectors` and `write_selectors` map the value of a block selector to a register name ("" for none).
+    `capacities` names the type form for each FB05 code. `profile` is what to poll when nobody says.
+    """
+
+    name: str
+    title: str
+    source: str
+    registers: Mapping[str, Register]
+    identity: str = ""
+    series_code: int | None = None
+    times: DriveTimes = field(default_factory=DriveTimes)
+    blocks: BlockForms = field(default_factory=BlockForms)
+    connectors: tuple[Connector, ...] = ()
+    read_selectors: Mapping[int, str] = field(default_factory=dict)
+    write_selectors: Mapping[int, str] = field(default_factory=dict)
+    capacities: Mapping[int, str] = field(default_factory=dict)
+    derived: tuple[Derived, ...] = ()
+    profile: tuple[tuple[tuple[str, ...], str], ...] = ()
+
+    def at(self, address: int) -> Register | None:
+        """Return the register with that communication number, or None."""
+        return next((register for register in self.registers.values() if register.address == address), None)
+
+    def connector(self, name: str = "") -> Connector | None:
+        """Return the connector of that name, the first one by default, or None."""
+        return next((c for c in self.connectors if name in ("", c.name)), None)

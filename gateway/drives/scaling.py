@@ -1,0 +1,51 @@
+"""Raw words to engineering values and back, exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from decimal import Decimal
+
+from gateway.errors import GatewayError
+
+WORD = 0x10000  # values of one 16-bit word
+
+
+class OutOfRange(GatewayError):
+    """A value that one word at this scale cannot hold: refuse it, never clamp it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scaling:
+    """How one word stands for a number: `scale` units a count, two's complement where `signed`.
+
+    The manuals say "one's complement" for negative numbers; their examples (FFFFH = -1,
+    D8F0H = -100.00 %) are two's complement.
+    """
+
+    scale: Decimal = Decimal(1)
+    signed: bool = False
+
+    @property
+    def digits(self) -> int:
+        """Count the decimals that the scale gives: 0.01 has 2."""
+        exponent = self.scale.normalize().as_tuple().exponent
+        return max(0, -exponent) if isinstance(exponent, int) else 0
+
+    def raw(self, word: int) -> int:
+        """Return the word as a signed or unsigned whole number."""
+        return word - WORD if self.signed and word & 0x8000 else word
+
+    def decode(self, word: int) -> Decimal:
+        """Raw word to engineering value, exactly: 6000 at 0.01 is 60.00."""
+        return self.raw(word) * self.scale
+
+    def encode(self, value: Decimal) -> int:
+        """Engineering value to raw word; OutOfRange where it does not fit exactly into one word."""
+        counts = value / self.scale
+        whole = int(counts)
+        if counts != whole:
+            raise OutOfRange(f"{value} is not a multiple of {self.scale}")
+        low, high = (-0x8000, 0x7FFF) if self.signed else (0, 0xFFFF)
+        if not low <= whole <= high:
+            raise OutOfRange(f"{value} is outside {low * self.scale} to {high * self.scale}")
+        return whole % WORD

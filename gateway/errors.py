@@ -1,0 +1,47 @@
+"""Errors, grouped by what the caller does next; each docstring is the policy."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class GatewayError(Exception):
+    """Whatever the gateway can explain to its operator; never shown as a traceback."""
+
+
+class BadConfig(GatewayError):
+    """The configuration or a catalogue file is wrong: say where, what would be right, and do not start."""
+
+
+class LineDown(GatewayError):
+    """The port is gone or cannot be opened: drop what waits, reopen with back-off."""
+
+
+class NoReply(GatewayError):
+    """Silence: retry, and count it against the drive's link."""
+
+
+class BadReply(GatewayError):
+    """Bytes that are no answer to the request: drain until silence, then as for silence."""
+
+
+class Refusal(Enum):
+    """Why a drive says no, whatever protocol it says it in.
+
+    MODBUS-RTU error codes 01-04 (E6581657 5.3); the TOSHIBA protocol's 0000-0004 (E6581657 4.3).
+    """
+
+    COMMAND = "command not known"
+    ADDRESS = "communication number not known, or not writable"
+    RANGE = "data range error"
+    UNABLE = "impossible to execute now"
+    CHECKSUM = "checksum error"
+    OTHER = "unknown error code"
+
+
+class Refused(GatewayError):
+    """The drive understood and said no: do not retry."""
+
+    def __init__(self, message: str, reason: Refusal) -> None:
+        super().__init__(message)
+        self.reason = reason

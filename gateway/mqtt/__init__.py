@@ -1,0 +1,1 @@
+"""The MQTT side: topics, payloads and the bridge to the broker."""

@@ -1,0 +1,1 @@
+"""Simulated drives on a simulated RS485 line, written from the drive manuals."""
