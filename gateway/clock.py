@@ -1,0 +1,124 @@
+"""Time as an argument: the clock and the alarm that the daemon runs by, and their system version."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ctypes
+import os
+import time
+from typing import Protocol
+
+TFD_NONBLOCK = os.O_NONBLOCK  # timerfd_create(2) uses the open(2) flags
+TFD_CLOEXEC = os.O_CLOEXEC
+TFD_TIMER_ABSTIME = 1
+LOOP_TIMER_STEP = 0.001  # seconds; a loop timer may ring up to one step early
+
+
+class Alarm(Protocol):
+    """A single waiter's timer, exact to some ten microseconds where the system allows."""
+
+    async def wait_until(self, when: float) -> None:
+        """Return at `when` (monotonic seconds), never before it."""
+        ...
+
+    def close(self) -> None:
+        """Give the timer back."""
+        ...
+
+
+class Clock(Protocol):
+    """Monotonic seconds for everything that waits, UTC seconds for what is shown to people."""
+
+    def now(self) -> float:
+        """Return monotonic seconds."""
+        ...
+
+    def wall(self) -> float:
+        """Return seconds since 1970 UTC."""
+        ...
+
+    def alarm(self) -> Alarm:
+        """Make a timer for one waiter."""
+        ...
+
+
+class SystemClock:
+    """The machine's clock."""
+
+    def now(self) -> float:
+        """Return CLOCK_MONOTONIC seconds."""
+        return time.monotonic()
+
+    def wall(self) -> float:
+        """Return seconds since 1970 UTC."""
+        return time.time()
+
+    def alarm(self) -> Alarm:
+        """Make a timerfd alarm; where the system has none, one by the event loop's own timers."""
+        try:
+            return _TimerFd()
+        except (OSError, AttributeError):
+            return _LoopAlarm()
+
+
+class _LoopAlarm:
+    """Wait by the event loop's timers; uvloop's count whole milliseconds, so it may be late by one."""
+
+    async def wait_until(self, when: float) -> None:
+        left = when - time.monotonic()
+        if left > 0:
+            await asyncio.sleep(left + LOOP_TIMER_STEP)
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to give back."""
+
+
+class _Timespec(ctypes.Structure):
+    _fields_ = (("seconds", ctypes.c_long), ("nanoseconds", ctypes.c_long))
+
+
+class _ItimerSpec(ctypes.Structure):
+    _fields_ = (("interval", _Timespec), ("value", _Timespec))
+
+
+class _TimerFd:
+    """Wait by a timerfd in the event loop: the 3.5-character gap does not bear whole-millisecond timers."""
+
+    def __init__(self) -> None:
+        libc = ctypes.CDLL(None, use_errno=True)
+        self._settime = libc.timerfd_settime
+        self._fd: int = libc.timerfd_create(time.CLOCK_MONOTONIC, TFD_NONBLOCK | TFD_CLOEXEC)
+        if self._fd < 0:
+            raise OSError(ctypes.get_errno(), "timerfd_create")
+        self._spec = _ItimerSpec()
+        self._spec_address = ctypes.byref(self._spec)
+        self._waiter: asyncio.Future[None] | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    async def wait_until(self, when: float) -> None:
+        if when <= time.monotonic():
+            return
+        if self._loop is None:
+            self._loop = asyncio.get_running_loop()
+            self._loop.add_reader(self._fd, self._rang)
+        nanoseconds = max(1, int(when * 1e9))
+        self._spec.value.seconds, self._spec.value.nanoseconds = divmod(nanoseconds, 1_000_000_000)
+        self._waiter = self._loop.create_future()
+        self._settime(self._fd, TFD_TIMER_ABSTIME, self._spec_address, None)
+        try:
+            await self._waiter
+        finally:
+            self._waiter = None
+
+    def _rang(self) -> None:
+        with contextlib.suppress(BlockingIOError):  # set anew between ringing and reading
+            os.read(self._fd, 8)
+        if self._waiter is not None and not self._waiter.done():
+            self._waiter.set_result(None)
+
+    def close(self) -> None:
+        """Close the descriptor."""
+        if self._loop is not None and not self._loop.is_closed():
+            self._loop.remove_reader(self._fd)
+        os.close(self._fd)

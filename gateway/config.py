@@ -1,0 +1,289 @@
+"""The configuration file: its model, and how it is read with all its errors named at once."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+from urllib.parse import urlsplit
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    ValidationError,
+    WithJsonSchema,
+    model_validator,
+)
+
+from gateway.errors import BadConfig
+
+DURATION = re.compile(r"^(\d+(?:\.\d+)?)\s*(ms|s|min|h)$")
+SECONDS = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0}
+
+def seconds(value: object) -> float:
+    """Read a duration such as "100ms", "2s", "1.5min" or "1h"; ValueError says the form."""
+    match = DURATION.match(value) if isinstance(value, str) else None
+    if match is None:
+        raise ValueError('a duration in quotes is wanted: "100ms", "2s", "5min" or "1h"')
+    return float(match[1]) * SECONDS[match[2]]
+
+def address(value: str) -> tuple[str, int]:
+    """Split "host:port"; IPv6 in brackets; ValueError says the form."""
+    host, colon, port = value.rpartition(":")
+    if not colon or not host or not port.isdigit() or not 0 <= int(port) <= 65535:
+        raise ValueError('an address and a port are wanted: "127.0.0.1:5020", "[::]:502"')
+    return host.removeprefix("[").removesuffix("]"), int(port)
+
+def _checked_address(value: str) -> str:
+    address(value)
+    return value
+
+Duration = Annotated[
+    float,
+    BeforeValidator(seconds),
+    WithJsonSchema({"type": "string", "pattern": DURATION.pattern, "examples": ["100ms", "2s"]}),
+]
+Listen = Annotated[str, AfterValidator(_checked_address)]
+TopicLevel = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+TopicPath = Annotated[
+    str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*(/[A-Za-z0-9][A-Za-z0-9_.-]*)*$")
+]
+ValueName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$")]
+
+class Section(BaseModel):
+    """A table of the file: unknown keys are refused, values are not coerced."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+class Secret(Section):
+    """A secret that stands elsewhere: in an environment variable or in a file."""
+
+    env: str | None = Field(None, description="name of the environment variable that holds it")
+    file: str | None = Field(None, description="path of the file that holds it (its last newline is dropped)")
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Secret:
+        if (self.env is None) == (self.file is None):
+            raise ValueError('say where it stands: { env = "NAME" } or { file = "/path" }')
+        return self
+
+    def reveal(self, environment: Mapping[str, str] = os.environ) -> str:
+        """Return the secret; BadConfig says which variable or file is missing."""
+        if self.env is not None:
+            if self.env not in environment:
+                raise BadConfig(f"environment variable {self.env} is not set")
+            return environment[self.env]
+        try:
+            return Path(self.file or "").read_text(encoding="utf-8").removesuffix("\n")
+        except (OSError, UnicodeDecodeError) as error:
+            raise BadConfig(f"secret file {self.file}: {error}") from error
+
+class LogSection(Section):
+    """How the daemon logs."""
+
+    level: Literal["debug", "info", "warning", "error"] = "info"
+    format: Literal["text", "json"] = "text"
+
+class GatewaySection(Section):
+    """The gateway itself."""
+
+    name: TopicLevel = Field(description="name of this gateway, a level of its topics")
+    catalogue: list[str] = Field([], description="further catalogue files, relative to this file")
+    log: LogSection = LogSection()
+    loop: Literal["uvloop", "asyncio"] = "uvloop"
+
+class TlsSection(Section):
+    """TLS towards the broker; fails closed."""
+
+    ca: str | None = Field(None, description="file of trusted certificates; the system's by default")
+    certificate: str | None = Field(None, description="client certificate (PEM)")
+    key: str | None = Field(None, description="its private key (PEM)")
+
+    @model_validator(mode="after")
+    def _both(self) -> TlsSection:
+        if (self.certificate is None) != (self.key is None):
+            raise ValueError("certificate and key belong together: give both or neither")
+        return self
+
+def _broker_url(value: str) -> str:
+    try:
+        url = urlsplit(value)
+        port = url.port
+    except ValueError as error:
+        raise ValueError(f"not a URL: {error}") from error
+    if url.scheme not in ("mqtt", "mqtts") or not url.hostname or url.path not in ("", "/") or port == 0:
+        raise ValueError('a broker is wanted: "mqtt://host:1883" or "mqtts://host:8883"')
+    if url.username or url.password:
+        raise ValueError("user and password do not belong into the URL: use the keys user and password")
+    return value
+
+class MqttSection(Section):
+    """The MQTT side: one broker."""
+
+    url: Annotated[str, AfterValidator(_broker_url)] = Field(description="mqtt:// or mqtts:// host and port")
+    base: TopicPath = Field("tosvert", description="first level or levels of every topic")
+    client_id: str | None = Field(None, min_length=1, description='"<base>-<gateway>" by default')
+    version: Literal["5", "3.1.1"] = "5"
+    user: str | Secret | None = None
+    password: Secret | None = None
+    tls: TlsSection = TlsSection()
+    keep_alive: Duration = Field(seconds("30s"), ge=1, le=3600)
+    publish: list[Literal["values", "state"]] = Field(
+        ["values", "state"], min_length=1, description="a topic per value, one JSON state per drive, or both"
+    )
+    retain: bool = True
+    qos: Literal[0, 1, 2] = 0
+    queue: int = Field(10_000, ge=100, le=1_000_000, description="messages that may wait for the broker")
+    longest_silence: Duration = Field(seconds("60s"), ge=0, description="0s: publish every reading")
+    deadband: dict[ValueName, float] = Field({}, description="value name: smallest change that is published")
+    reconnect_after: Duration = Field(seconds("1s"), gt=0)
+    reconnect_at_most: Duration = Field(seconds("30s"), gt=0)
+
+    @model_validator(mode="after")
+    def _sound(self) -> MqttSection:
+        if self.password is not None and self.user is None:
+            raise ValueError("password without user: give both")
+        if self.tls != TlsSection() and not self.url.startswith("mqtts:"):
+            raise ValueError("tls is given but the url is not mqtts://")
+        return self
+
+class ModbusTcpSection(Section):
+    """The MODBUS-TCP server."""
+
+    listen: Listen = "127.0.0.1:5020"
+    connections: int = Field(32, ge=1, le=1000)
+    idle_timeout: Duration = Field(seconds("60s"), ge=1)
+
+class WebSection(Section):
+    """The web server: /healthz and /metrics."""
+
+    listen: Listen = "127.0.0.1:8080"
+
+class PollSection(Section):
+    """Values that are read together."""
+
+    values: list[ValueName] = Field(min_length=1)
+    every: Duration = Field(ge=0, le=86_400, description='"0s": as fast as the line allows')
+    max_age: Duration | None = Field(None, gt=0, description="older is stale; about three periods by default")
+
+class DriveSection(Section):
+    """One drive on a line."""
+
+    name: TopicLevel
+    number: int = Field(ge=1, le=247, description="inverter number F802")
+    model: str
+    protocol: Literal["modbus-rtu"] = "modbus-rtu"
+    unit: int | None = Field(None, ge=1, le=247, description="MODBUS-TCP unit id; the number by default")
+    wait_time: Duration = Field(0.0, ge=0, le=2, description="F805 as set in the drive")
+    poll: list[PollSection] = Field([], description="the model's profile where empty")
+    deadband: dict[ValueName, float] = Field({}, description="like mqtt.deadband, for this drive")
+
+def _port(value: str) -> str:
+    if "://" in value and not value.startswith("socket://"):
+        raise ValueError('a serial device or a serial server is wanted: "/dev/ttyUSB0", "socket://10.0.0.7:4001"')
+    if value.startswith("socket://"):
+        address(value.removeprefix("socket://"))
+    elif not value.startswith("/"):
+        raise ValueError(f'give the whole path: "/dev/{value}"')
+    return value
+
+class LineSection(Section):
+    """One RS485 line."""
+
+    name: TopicLevel
+    port: Annotated[str, AfterValidator(_port)]
+    baud: Literal[9600, 19200, 38400] = Field(19200, description="F800")
+    parity: Literal["even", "odd", "none"] = Field("even", description="F801")
+    answer_margin: Duration | None = Field(
+        None, gt=0, le=5, description="time for adapters and networks beside the drive's own"
+    )
+    silent_share: float = Field(0.05, gt=0, le=0.5, description="share of the line for silent drives")
+    probe_every: Duration = Field(seconds("1s"), gt=0, description="first interval of tries")
+    probe_at_most: Duration = Field(seconds("30s"), gt=0, description="longest interval of tries")
+    drive: list[DriveSection] = Field(min_length=1)
+
+class Config(Section):
+    """The whole file."""
+
+    gateway: GatewaySection
+    mqtt: MqttSection | None = None
+    modbus_tcp: ModbusTcpSection | None = None
+    web: WebSection | None = None
+    line: list[LineSection] = Field(min_length=1)
+
+def read(path: Path) -> dict[str, Any]:
+    """Read the TOML of a configuration file; BadConfig says what and where."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadConfig(f"{path}: cannot be read: {error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise BadConfig(f"{path}: not TOML: {error}") from error
+
+def problems(table: Mapping[str, Any]) -> list[str]:
+    """List all that is wrong with the form of a configuration, a line each: key and what would be right."""
+    try:
+        Config.model_validate(table)
+    except ValidationError as error:
+        return [_explain(item, table) for item in error.errors(include_url=False)]
+    return []
+
+def _explain(item: Mapping[str, Any], table: Mapping[str, Any]) -> str:
+    keys = list(item["loc"])
+    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in keys).lstrip(".")
+    names = "".join(f" ({name})" for name in _names_on_the_way(keys, table))
+    if item["type"] == "extra_forbidden":
+        return f"{key}{names}: unknown key{_nearest(keys)}"
+    if item["type"] == "missing":
+        return f"{key}{names}: is missing"
+    reason = item["msg"].removeprefix("Value error, ")
+    return f"{key}{names}: {reason} (given: {item['input']!r:.60})"
+
+def _names_on_the_way(keys: list[Any], table: Any) -> Iterator[str]:
+    """Yield the `name` of every list entry on the way to the key, so that [[line.drive]] 7 is found."""
+    for key in keys:
+        try:
+            table = table[key]
+        except (KeyError, IndexError, TypeError):
+            return
+        if isinstance(key, int) and isinstance(table, dict) and isinstance(table.get("name"), str):
+            yield table["name"]
+
+def _nearest(keys: list[Any]) -> str:
+    known = _known_keys(keys[:-1])
+    near = difflib.get_close_matches(str(keys[-1]), known, 1)
+    return f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(known)}"
+
+def _known_keys(keys: list[Any]) -> list[str]:
+    schema: Any = Config.model_json_schema()
+    definitions, node = schema["$defs"], schema
+
+    def resolve(node: Any) -> Any:
+        for option in node.get("anyOf", []):
+            if "$ref" in option:
+                node = option
+        return definitions[node["$ref"].rpartition("/")[2]] if "$ref" in node else node
+
+    for key in keys:
+        node = resolve(node)
+        node = node.get("items", {}) if isinstance(key, int) else node.get("properties", {}).get(key, {})
+    return sorted(resolve(node).get("properties", {}))
+
+def valid_parts(table: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any], DriveSection]]:
+    """Yield key, line table and drive for each drive whose own form is right, whatever else is wrong."""
+    lines = table.get("line")
+    for i, line in enumerate(lines if isinstance(lines, list) else []):
+        drives = line.get("drive") if isinstance(line, dict) else None
+        for j, drive in enumerate(drives if isinstance(drives, list) else []):
+            try:
+                yield f"line[{i}].drive[{j}]", line, DriveSection.model_validate(drive)
+            except ValidationError:
+                continue  # its own problems are listed already

@@ -1,0 +1,255 @@
+"""The process image: the one place where values live, as words with quality and age.
+
+Words of one answer appear together, under one version. A reader gets a fresh value or the reason why not;
+an old number is never handed out as if it were new.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from enum import Enum, IntEnum
+
+from gateway.drives.register import Derived
+from gateway.site import Drive, Point
+
+NEVER = float("-inf")
+
+
+class Quality(IntEnum):
+    """How far a value can be trusted; the numbers stand in the MODBUS-TCP map."""
+
+    GOOD = 0
+    STALE = 1
+    OFFLINE = 2
+    NEVER_READ = 3
+
+    @property
+    def word(self) -> str:
+        """Return the name as payloads spell it: "never_read"."""
+        return self.name.lower()
+
+
+class LinkState(IntEnum):
+    """What is known of the connection to a drive; the numbers stand in the MODBUS-TCP map."""
+
+    ONLINE = 0
+    SUSPECT = 1
+    OFFLINE = 2
+    STARTING = 3
+    STRANGER = 4
+    LINE_DOWN = 5
+
+    @property
+    def word(self) -> str:
+        """Return the name as payloads spell it: "line_down"."""
+        return self.name.lower()
+
+    @property
+    def is_connected(self) -> bool:
+        """Say whether the drive's values may be believed."""
+        return self in (LinkState.ONLINE, LinkState.SUSPECT)
+
+
+class Missing(Enum):
+    """Why a range of words cannot be given."""
+
+    UNMAPPED = "no such value is read from this drive"
+    NOT_FRESH = "stale, never read, or the drive is silent"
+    LINE_DOWN = "the line is down"
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """A value at one moment: its word, quality, age in seconds, and UTC source time in seconds (0: none)."""
+
+    word: int
+    quality: Quality
+    age: float
+    wall: float
+
+
+@dataclass(slots=True)
+class _Segment:
+    """Consecutive communication numbers: their words as they stand on a MODBUS wire, and their times."""
+
+    start: int
+    words: bytearray
+    read_at: array[float]
+    expires: array[float]
+
+    def __init__(self, start: int, count: int) -> None:
+        self.start = start
+        self.words = bytearray(2 * count)
+        self.read_at = array("d", [NEVER] * count)
+        self.expires = array("d", [NEVER] * count)
+
+
+Listener = Callable[["DriveImage", Sequence[str]], None]
+
+
+class DriveImage:
+    """The values of one drive. Every point is a polled register; segments are runs of their numbers."""
+
+    def __init__(self, drive: Drive) -> None:
+        self.drive = drive
+        self.points: Mapping[str, Point] = drive.points
+        self.derived: Mapping[str, Derived] = {d.name: d for d in drive.derived}
+        self.link = LinkState.STARTING
+        self.reason = "not heard yet"
+        self.identity: Mapping[str, str] = {}
+        self.bases: dict[str, Decimal] = {}
+        self.version = 0
+        self.changed_at = NEVER  # monotonic time of the last answer
+        self._listeners: list[Listener] = []
+        self._wall_offset = 0.0  # UTC minus monotonic seconds at the last answer
+        self._at: dict[int, tuple[_Segment, int]] = {}
+        self._name_at = {point.register.address: name for name, point in self.points.items()}
+        self._swept: dict[str, Quality] = dict.fromkeys(self.points, Quality.NEVER_READ)
+        self._lay_out()
+
+    def _lay_out(self) -> None:
+        addresses = sorted(self._name_at)
+        run: list[int] = []
+        for address in [*addresses, -1]:
+            if run and address != run[-1] + 1:
+                segment = _Segment(run[0], len(run))
+                for offset, member in enumerate(run):
+                    self._at[member] = (segment, offset)
+                run = []
+            run.append(address)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of all values, derived ones behind the registers."""
+        return (*self.points, *self.derived)
+
+    def subscribe(self, listener: Listener) -> None:
+        """Call `listener(image, names)` after each answer; without names after a change of the link."""
+        self._listeners.append(listener)
+
+    def apply(self, words: Iterable[tuple[int, int]], now: float, wall: float) -> None:
+        """Take the (communication number, word) pairs of one answer; what is no point is passed over."""
+        names = []
+        for address, word in words:
+            name = self._name_at.get(address)
+            if name is None:
+                continue
+            point = self.points[name]
+            segment, offset = self._at[address]
+            segment.words[2 * offset : 2 * offset + 2] = (word & point.register.mask).to_bytes(2, "big")
+            segment.read_at[offset] = now
+            segment.expires[offset] = now + point.max_age
+            names.append(name)
+        self.changed_at = now
+        self._wall_offset = wall - now
+        self.version += 1
+        read = set(names)
+        names += [d.name for d in self.derived.values() if d.of in read and d.base in self.bases]
+        for name in names:
+            self._swept[name] = Quality.GOOD
+        self._tell(names)
+
+    def set_link(self, link: LinkState, reason: str = "") -> None:
+        """Take a new link state; a lost link ends the freshness of every value for good."""
+        if (link, reason) == (self.link, self.reason):
+            return
+        self.link, self.reason = link, reason
+        if not link.is_connected:
+            for segment, offset in self._at.values():
+                segment.expires[offset] = NEVER
+        self._tell(())
+
+    def sweep(self, now: float) -> None:
+        """Tell the listeners which values turned stale or went offline since they were last told."""
+        turned = []
+        for name in self.names:
+            quality = self.quality(name, now)
+            if quality is not self._swept.get(name, Quality.NEVER_READ):
+                self._swept[name] = quality
+                turned.append(name)
+        if turned:
+            self._tell(turned)
+
+    def _tell(self, names: Sequence[str]) -> None:
+        for listener in self._listeners:
+            listener(self, names)
+
+    def read(self, start: int, count: int, now: float) -> bytes | Missing:
+        """Return `count` words from `start` as they stand on a MODBUS wire, or why not."""
+        found = self._at.get(start)
+        if found is None:
+            return Missing.UNMAPPED
+        segment, offset = found
+        end = offset + count
+        if end > len(segment.expires):
+            return Missing.UNMAPPED
+        if self.link is LinkState.LINE_DOWN:
+            return Missing.LINE_DOWN
+        if not self.link.is_connected or min(segment.expires[offset:end]) < now:
+            return Missing.NOT_FRESH
+        return bytes(segment.words[2 * offset : 2 * end])
+
+    def quality(self, name: str, now: float) -> Quality:
+        """Return the quality of a value."""
+        return self.sample(name, now).quality
+
+    def sample(self, name: str, now: float) -> Sample:
+        """Return a value as it is now; a derived value has the word of the register behind it."""
+        derived = self.derived.get(name)
+        register = self.points[derived.of if derived else name].register
+        segment, offset = self._at[register.address]
+        read_at = segment.read_at[offset]
+        if read_at == NEVER or (derived is not None and derived.base not in self.bases):
+            return Sample(0, Quality.NEVER_READ, float("inf"), 0.0)
+        word = int.from_bytes(segment.words[2 * offset : 2 * offset + 2], "big")
+        quality = Quality.GOOD
+        if not self.link.is_connected:
+            quality = Quality.OFFLINE
+        elif segment.expires[offset] < now:
+            quality = Quality.STALE
+        return Sample(word, quality, max(0.0, now - read_at), read_at + self._wall_offset)
+
+    def number(self, name: str, word: int) -> Decimal:
+        """Return the engineering value that a word of this value stands for."""
+        derived = self.derived.get(name)
+        if derived is None:
+            return self.points[name].register.decode(word)
+        value = self.points[derived.of].register.decode(word)
+        return (value * self.bases[derived.base] / 100).quantize(Decimal(1).scaleb(-derived.digits))
+
+    def show(self, name: str, word: int) -> str:
+        """Return the engineering value as text, with the decimals that it has."""
+        if name in self.derived:
+            return f"{self.number(name, word):f}"
+        return self.points[name].register.format(word)
+
+    def unit(self, name: str) -> str:
+        """Return the engineering unit of a value."""
+        derived = self.derived.get(name)
+        return derived.unit if derived else self.points[name].register.unit
+
+    def text(self, name: str, word: int) -> str | None:
+        """Say a bit field or a code in words; None for a plain number."""
+        return None if name in self.derived else self.points[name].register.text(word)
+
+
+class Image:
+    """The values of every drive, by name and by MODBUS-TCP unit id, in the order of the file."""
+
+    def __init__(self, drives: Iterable[Drive]) -> None:
+        self.drives: tuple[DriveImage, ...] = tuple(DriveImage(drive) for drive in drives)
+        self.by_name: Mapping[str, DriveImage] = {image.drive.name: image for image in self.drives}
+        self.by_unit: Mapping[int, DriveImage] = {image.drive.unit: image for image in self.drives}
+
+    def subscribe(self, listener: Listener) -> None:
+        """Subscribe to every drive; see DriveImage.subscribe."""
+        for image in self.drives:
+            image.subscribe(listener)
+
+    def sweep(self, now: float) -> None:
+        """Let every drive tell what turned stale; to be called several times a second."""
+        for image in self.drives:
+            image.sweep(now)

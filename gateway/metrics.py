@@ -1,0 +1,102 @@
+"""What the daemon counts of itself: plain numbers, cheap to add to and read by whoever shows them."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+ANSWER_BOUNDS = (0.005, 0.01, 0.015, 0.02, 0.03, 0.05, 0.1, 0.25, 0.5, 1.0)  # seconds
+GAP_BOUNDS = (0.001, 0.002, 0.0025, 0.003, 0.005, 0.01, 0.05, 0.1, 0.5, 1.0, 5.0)  # seconds
+
+
+class Histogram:
+    """Counts of observations up to each bound, and beyond the last."""
+
+    __slots__ = ("bounds", "counts", "total")
+
+    def __init__(self, bounds: Sequence[float]) -> None:
+        self.bounds = tuple(bounds)
+        self.counts = [0] * (len(self.bounds) + 1)
+        self.total = 0.0
+
+    def observe(self, value: float) -> None:
+        """Count one observation."""
+        self.counts[bisect_left(self.bounds, value)] += 1
+        self.total += value
+
+    @property
+    def count(self) -> int:
+        """Return the number of observations."""
+        return sum(self.counts)
+
+    def quantile(self, share: float) -> float:
+        """Return the bound below which that share of the observations lies; the last bound past it."""
+        wanted = share * self.count
+        seen = 0
+        for bound, count in zip(self.bounds, self.counts, strict=False):
+            seen += count
+            if seen >= wanted:
+                return bound
+        return self.bounds[-1]
+
+
+@dataclass(slots=True)
+class LineStats:
+    """One RS485 line. `busy` sums the seconds in which the wire and the drives were necessarily busy."""
+
+    is_up: bool = False
+    opened: int = 0
+    exchanges: int = 0
+    busy: float = 0.0
+    errors: Counter[str] = field(default_factory=Counter)
+    gaps: Histogram = field(default_factory=lambda: Histogram(GAP_BOUNDS))
+    load: float = 0.0
+    rate: float = 0.0
+
+
+@dataclass(slots=True)
+class DriveStats:
+    """One drive. `answers` is the time from the end of a request to the end of its answer."""
+
+    exchanges: int = 0
+    timeouts: int = 0
+    bad_replies: int = 0
+    refusals: int = 0
+    answers: Histogram = field(default_factory=lambda: Histogram(ANSWER_BOUNDS))
+    longest_gap: float = 0.0
+    last_heard: float = float("-inf")
+
+
+@dataclass(slots=True)
+class MqttStats:
+    """The MQTT side."""
+
+    is_connected: bool = False
+    connects: int = 0
+    published: int = 0
+    dropped: int = 0
+    waiting: int = 0
+
+
+@dataclass(slots=True)
+class TcpStats:
+    """The MODBUS-TCP server."""
+
+    connections: int = 0
+    accepted: int = 0
+    turned_away: int = 0
+    requests: Counter[int] = field(default_factory=Counter)
+    exceptions: Counter[int] = field(default_factory=Counter)
+
+
+@dataclass(slots=True)
+class Stats:
+    """Everything that is counted, by line and drive name. `started` is UTC seconds."""
+
+    started: float
+    lines: dict[str, LineStats] = field(default_factory=dict)
+    drives: dict[str, DriveStats] = field(default_factory=dict)
+    mqtt: MqttStats = field(default_factory=MqttStats)
+    tcp: TcpStats = field(default_factory=TcpStats)

@@ -1,0 +1,237 @@
+"""The site: configuration and catalogue put together, checked, ready to be run."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gateway import config as configuration
+from gateway.config import Config, DriveSection, LineSection, PollSection
+from gateway.drives import catalogue
+from gateway.drives.catalogue import Catalogue
+from gateway.drives.model import Model
+from gateway.drives.register import Derived, Register
+from gateway.errors import BadConfig
+from gateway.protocol.timing import LineTiming
+
+SERIAL_MARGIN = 0.050  # seconds; a USB adapter without low-latency mode holds an answer back by up to 16 ms
+SOCKET_MARGIN = 0.250  # seconds; a serial server adds its packing time and the network's
+SINGLE_READ = (8, 7)  # characters of a MODBUS-RTU single read and of its answer (E6581657 5.1.1)
+LEAST_MAX_AGE = 1.0  # seconds; below it, one lost frame would make a value stale
+MAX_AGE_PERIODS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class PollGroup:
+    """Registers of one drive that are read every `period` seconds (0: as fast as the line allows)."""
+
+    registers: tuple[Register, ...]
+    period: float
+    max_age: float
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """A value of one drive: its register and the age in seconds past which it is stale."""
+
+    register: Register
+    max_age: float
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """One drive as configured. `points` holds every polled register once, by name, in the order asked.
+
+    `bases` are registers that derived values need; they are read when the drive is identified.
+    """
+
+    name: str
+    line: str
+    number: int
+    unit: int
+    model: Model
+    wait_time: float
+    groups: tuple[PollGroup, ...]
+    points: Mapping[str, Point]
+    derived: tuple[Derived, ...]
+    deadband: Mapping[str, float]
+
+    @property
+    def bases(self) -> tuple[Register, ...]:
+        """Return the registers that derived values are computed from, each once."""
+        return tuple(self.model.registers[name] for name in dict.fromkeys(d.base for d in self.derived))
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One RS485 line as configured; times in seconds."""
+
+    name: str
+    port: str
+    baud: int
+    parity: str
+    margin: float
+    silent_share: float
+    probe_every: float
+    probe_at_most: float
+    drives: tuple[Drive, ...]
+
+    @property
+    def timing(self) -> LineTiming:
+        """Return the arithmetic of this line."""
+        return LineTiming(self.baud)
+
+    @property
+    def is_network(self) -> bool:
+        """Say whether the port is a serial server on the network."""
+        return self.port.startswith("socket://")
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """All that one gateway serves: its configuration and its lines with their drives."""
+
+    config: Config
+    lines: tuple[Line, ...]
+    catalogue: Catalogue = field(repr=False)
+
+    @property
+    def drives(self) -> tuple[Drive, ...]:
+        """Return every drive, in the order of the file."""
+        return tuple(drive for line in self.lines for drive in line.drives)
+
+
+def load(path: Path) -> Site:
+    """Read and check a configuration file; BadConfig lists everything that is wrong, a line each."""
+    return build(configuration.read(path), str(path), path.parent)
+
+
+def build(table: Mapping[str, Any], name: str, folder: Path) -> Site:
+    """Check the table of a configuration file; `folder` is what relative catalogue files start from."""
+    wrong = configuration.problems(table)
+    models: Catalogue = {}
+    try:
+        models = catalogue.load(_catalogue_files(table, folder))
+    except BadConfig as error:
+        wrong += str(error).splitlines()
+    if models:
+        wrong += _contradictions(table, models)
+    if wrong:
+        raise BadConfig("\n".join(f"{name}: {problem}" for problem in wrong))
+    config = Config.model_validate(table)
+    return Site(config, tuple(_line(section, models) for section in config.line), models)
+
+
+def _catalogue_files(table: Mapping[str, Any], folder: Path) -> list[Path]:
+    section = table.get("gateway")
+    names = section.get("catalogue", []) if isinstance(section, dict) else []
+    return [folder / name for name in names if isinstance(name, str)] if isinstance(names, list) else []
+
+
+def _contradictions(table: Mapping[str, Any], models: Catalogue) -> list[str]:
+    """Find what is right in form and wrong in fact: models, values, and what must be there once only."""
+    wrong: list[str] = []
+    once: dict[tuple[str, object], str] = {}
+    lines = table.get("line")
+    for i, line in enumerate(lines if isinstance(lines, list) else []):
+        if isinstance(line, dict):
+            for key in ("name", "port"):
+                wrong += _only_once(once, f"line {key}", line.get(key), f"line[{i}].{key}")
+    for key, line, drive in configuration.valid_parts(table):
+        label = f"{key} ({drive.name})"
+        wrong += _only_once(once, "drive name", drive.name, f"{label}.name")
+        unit = drive.number if drive.unit is None else drive.unit
+        hint = "" if drive.unit else "; give this drive a unit of its own"
+        wrong += _only_once(once, "MODBUS-TCP unit", unit, f"{label}.unit", hint)
+        wrong += _only_once(once, f"number on line {line.get('name')}", drive.number, f"{label}.number")
+        if drive.model not in models:
+            wrong.append(f"{label}.model: no model {drive.model!r}; known: {', '.join(sorted(models))}")
+            continue
+        wrong += _unknown_values(label, drive, models[drive.model])
+    return wrong
+
+
+def _only_once(
+    seen: dict[tuple[str, object], str], what: str, value: object, key: str, hint: str = ""
+) -> Iterator[str]:
+    if not isinstance(value, str | int):
+        return
+    if (what, value) in seen:
+        yield f"{key}: {what} {value!r} is taken by {seen[what, value]}{hint}"
+    else:
+        seen[what, value] = key
+
+
+def _unknown_values(label: str, drive: DriveSection, model: Model) -> Iterator[str]:
+    derived = {d.name for d in model.derived}
+    names = [(f"poll[{g}].values", name) for g, poll in enumerate(drive.poll) for name in poll.values]
+    if not drive.poll and not model.profile:
+        yield f"{label}.poll: {model.name} has no default profile: say what to read"
+    for key, name in names + [("deadband", name) for name in drive.deadband]:
+        if name in model.registers or name in derived:
+            continue
+        near = difflib.get_close_matches(name, [*model.registers, *derived], 1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        yield f"{label}.{key}: {model.name} has no value {name!r}{hint}"
+
+
+def _line(section: LineSection, models: Catalogue) -> Line:
+    is_network = section.port.startswith("socket://")
+    timing = LineTiming(section.baud)
+    cycle = sum(_once_through(drive, models[drive.model], timing) for drive in section.drive)
+    return Line(
+        name=section.name,
+        port=section.port,
+        baud=section.baud,
+        parity=section.parity,
+        margin=section.answer_margin or (SOCKET_MARGIN if is_network else SERIAL_MARGIN),
+        silent_share=section.silent_share,
+        probe_every=section.probe_every,
+        probe_at_most=section.probe_at_most,
+        drives=tuple(_drive(section.name, drive, models[drive.model], cycle) for drive in section.drive),
+    )
+
+
+def _once_through(section: DriveSection, model: Model, timing: LineTiming) -> float:
+    """Return how long reading every value of a drive once takes at the worst, in single reads."""
+    values = {name for poll in _polls(section, model) for name in poll.values}
+    return len(values) * timing.exchange(*SINGLE_READ, model.times.processing + section.wait_time)
+
+
+def _polls(section: DriveSection, model: Model) -> list[PollSection]:
+    profile = ({"values": list(values), "every": every} for values, every in model.profile)
+    return section.poll or [PollSection.model_validate(poll) for poll in profile]
+
+
+def _drive(line: str, section: DriveSection, model: Model, cycle: float) -> Drive:
+    asked = _polls(section, model)
+    groups = tuple(_group(poll, model, cycle) for poll in asked)
+    points: dict[str, Point] = {}
+    for group in groups:
+        for register in group.registers:
+            known = points.get(register.name)
+            if known is None or group.max_age < known.max_age:
+                points[register.name] = Point(register, group.max_age)
+    return Drive(
+        name=section.name,
+        line=line,
+        number=section.number,
+        unit=section.number if section.unit is None else section.unit,
+        model=model,
+        wait_time=section.wait_time,
+        groups=groups,
+        points=points,
+        derived=tuple(d for d in model.derived if d.of in points),
+        deadband=section.deadband,
+    )
+
+
+def _group(poll: PollSection, model: Model, cycle: float) -> PollGroup:
+    """Resolve a poll group; a derived value stands for the register that it is computed from."""
+    sources = {d.name: d.of for d in model.derived}
+    names = dict.fromkeys(sources.get(name, name) for name in poll.values)
+    max_age = poll.max_age or max(MAX_AGE_PERIODS * max(poll.every, cycle), LEAST_MAX_AGE)
+    return PollGroup(tuple(model.registers[name] for name in names), poll.every, max_age)
