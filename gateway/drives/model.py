@@ -40,8 +40,9 @@ class DriveTimes:
 class Connector:
     """The names of the communication parameters of one RS485 connector, by their role.
 
-    Roles: baud_rate, parity, number, timeout, timeout_action, wait_time, timeout_detection, protocol,
-    block_write (2 names), block_read (5 names).
+    Roles: baud_rate, parity, number, timeout, timeout_action, timeout_detection, wait_time, protocol,
+    master_slave. An absent one is a parameter that the model has not got, or its manual does not tell of.
+    `block_write` and `block_read` name the block selectors (F870-F871, F875-F879), in order.
     """
 
     name: str
@@ -73,10 +74,15 @@ class Model:
     capacities: Mapping[int, str] = field(default_factory=dict)
     derived: tuple[Derived, ...] = ()
     profile: tuple[tuple[tuple[str, ...], str], ...] = ()
+    by_address: Mapping[int, Register] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        by_address = {register.address: register for register in self.registers.values()}
+        object.__setattr__(self, "by_address", by_address)
 
     def at(self, address: int) -> Register | None:
         """Return the register with that communication number, or None."""
-        return next((register for register in self.registers.values() if register.address == address), None)
+        return self.by_address.get(address)
 
     def connector(self, name: str = "") -> Connector | None:
         """Return the connector of that name, the first one by default, or None."""

@@ -7,11 +7,16 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from enum import Enum
 
-from gateway.drives.scaling import Scaling
+from gateway.drives.scaling import OutOfRange, Scaling
 
 
 class Kind(Enum):
-    """Which table of the manual a register stands in."""
+    """What a register is for.
+
+    COMMAND is written to act (FAxx). MONITOR is a quantity, measured or counted. STATUS is what the drive is
+    or does, in bits or codes. TRIP_HELD follows the drive as well, and keeps what was when the drive tripped
+    (FExx). PARAMETER is a setting (0000-0999).
+    """
 
     COMMAND = "command"
     MONITOR = "monitor"
@@ -30,7 +35,10 @@ class Storage(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Enumeration:
-    """A named set of codes: code -> (short name, text)."""
+    """A named set of codes: code -> short name, code -> text.
+
+    It holds the codes that the manual names, and need not be complete: a drive may know more.
+    """
 
     name: str
     names: Mapping[int, str]
@@ -79,6 +87,20 @@ class Register:
     def decode(self, word: int) -> Decimal:
         """Return the engineering value of a raw word, undefined bits removed."""
         return self.scaling.decode(word & self.mask)
+
+    def encode(self, value: Decimal) -> int:
+        """Return the raw word of an engineering value; OutOfRange where the register does not take it."""
+        word = self.scaling.encode(value)
+        raw, digits = self.scaling.raw(word), self.scaling.digits
+        low, high = self.scaling.limits
+        low = low if self.minimum is None else self.minimum
+        high = high if self.maximum is None else self.maximum
+        if not low <= raw <= high:
+            scale = self.scaling.scale
+            raise OutOfRange(f"{value} is outside {low * scale:.{digits}f} to {high * scale:.{digits}f}")
+        if word & ~self.mask:
+            raise OutOfRange(f"{word:04X}H sets undefined bits: {word & ~self.mask:04X}H")
+        return word
 
     def format(self, word: int) -> str:
         """Return the engineering value as text with the scale's decimals: 6000 at 0.01 is "60.00"."""

@@ -31,6 +31,11 @@ class Scaling:
         exponent = self.scale.normalize().as_tuple().exponent
         return max(0, -exponent) if isinstance(exponent, int) else 0
 
+    @property
+    def limits(self) -> tuple[int, int]:
+        """Return the lowest and the highest raw number of one word."""
+        return (-WORD // 2, WORD // 2 - 1) if self.signed else (0, WORD - 1)
+
     def raw(self, word: int) -> int:
         """Return the word as a signed or unsigned whole number."""
         return word - WORD if self.signed and word & 0x8000 else word
@@ -41,11 +46,12 @@ class Scaling:
 
     def encode(self, value: Decimal) -> int:
         """Engineering value to raw word; OutOfRange where it does not fit exactly into one word."""
-        counts = value / self.scale
-        whole = int(counts)
-        if counts != whole:
+        low, high = (limit * self.scale for limit in self.limits)
+        if not value.is_finite():
+            raise OutOfRange(f"{value} is no number")
+        if not low <= value <= high:
+            raise OutOfRange(f"{value} is outside {low} to {high}")
+        whole = int(value / self.scale)
+        if whole * self.scale != value:
             raise OutOfRange(f"{value} is not a multiple of {self.scale}")
-        low, high = (-0x8000, 0x7FFF) if self.signed else (0, 0xFFFF)
-        if not low <= whole <= high:
-            raise OutOfRange(f"{value} is outside {low * self.scale} to {high * self.scale}")
         return whole % WORD
