@@ -207,7 +207,7 @@ class LineSection(Section):
     )
     silent_share: float = Field(0.05, gt=0, le=0.5, description="share of the line for silent drives")
     probe_every: Duration = Field(seconds("1s"), gt=0, description="first interval of tries")
-    probe_at_most: Duration = Field(seconds("30s"), gt=0, description="longest interval of tries")
+    probe_at_most: Duration = Field(seconds("5s"), gt=0, description="longest interval of tries")
     drive: list[DriveSection] = Field(min_length=1)
 
 class Config(Section):

@@ -1,0 +1,30 @@
+"""What the bus needs of a line: a half-duplex byte pipe that knows time, not protocols."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+
+class Line(Protocol):
+    """A port with drives behind it. Every method raises LineDown once the port is gone."""
+
+    @property
+    def is_pty(self) -> bool:
+        """Say whether the port is a pseudo-terminal: no real line, so its timing proves nothing."""
+        ...
+
+    async def write(self, frame: bytes) -> float:
+        """Wait for the gap, discard what has arrived, send; return when the first bit left (monotonic)."""
+        ...
+
+    async def read(self, deadline: float) -> bytes:
+        """Return what arrives next, b"" when nothing has arrived by the deadline (monotonic seconds)."""
+        ...
+
+    async def drain(self, silence: float, limit: float) -> int:
+        """Throw away what arrives until `silence` seconds are quiet, or `limit` seconds are over; count it."""
+        ...
+
+    def close(self) -> None:
+        """Close the port."""
+        ...

@@ -1,0 +1,136 @@
+"""What the line carries next: earliest deadline first, silent drives within their share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+Work = TypeVar("Work")
+
+
+@dataclass(slots=True, eq=False)
+class Job(Generic[Work]):
+    """Something to be done for one drive again and again, or once (`period` None).
+
+    `due` is when it may start, `deadline` when it should have been done; both monotonic seconds.
+    A period of 0 means as often as the line allows.
+    """
+
+    drive: str
+    work: Work
+    period: float | None
+    due: float
+    deadline: float
+
+
+@dataclass(frozen=True, slots=True)
+class Send(Generic[Work]):
+    """Do this now."""
+
+    job: Job[Work]
+    is_probe: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class NotBefore:
+    """Nothing is due before that time."""
+
+    when: float
+
+
+@dataclass(slots=True)
+class _Probe(Generic[Work]):
+    job: Job[Work]
+    interval: float
+
+
+@dataclass(slots=True)
+class Schedule(Generic[Work]):
+    """The jobs of one line.
+
+    Polls run earliest deadline first and without preemption. `turn` is how long one round of the jobs with
+    period 0 takes: their deadline, so that they and the timed ones keep each other waiting fairly.
+    Probes of silent drives go ahead of polls, but only as often as `silent_share` of the line pays for.
+    """
+
+    silent_share: float
+    probe_every: float
+    probe_at_most: float
+    turn: float = 0.1
+    _jobs: dict[str, list[Job[Work]]] = field(default_factory=dict)
+    _probes: dict[str, _Probe[Work]] = field(default_factory=dict)
+    _probing_allowed: float = float("-inf")
+
+    def set_jobs(self, drive: str, jobs: Iterable[Job[Work]]) -> None:
+        """Replace all that is done for a drive; it is no longer probed."""
+        self._probes.pop(drive, None)
+        self._jobs[drive] = list(jobs)
+
+    def add(self, job: Job[Work]) -> None:
+        """Add a job for a drive that has some."""
+        self._jobs.setdefault(job.drive, []).append(job)
+
+    def remove(self, job: Job[Work]) -> None:
+        """Drop a job."""
+        self._jobs[job.drive].remove(job)
+
+    def jobs(self, drive: str) -> tuple[Job[Work], ...]:
+        """Return the jobs of a drive."""
+        return tuple(self._jobs.get(drive, ()))
+
+    def probe(self, drive: str, work: Work, when: float) -> None:
+        """Stop polling a drive and try it now and then, the first time at `when`."""
+        self._jobs.pop(drive, None)
+        self._probes[drive] = _Probe(Job(drive, work, None, when, when), self.probe_every)
+
+    def is_probed(self, drive: str) -> bool:
+        """Say whether a drive is only probed."""
+        return drive in self._probes
+
+    def next(self, now: float) -> Send[Work] | NotBefore | None:
+        """Say what the line should carry next; None when nothing is planned at all."""
+        has_polls = any(self._jobs.values())
+        probe = min((p.job for p in self._probes.values()), key=lambda job: job.due, default=None)
+        probe_at = float("inf")
+        if probe is not None:
+            probe_at = max(probe.due, self._probing_allowed) if has_polls else probe.due
+            if probe_at <= now:
+                return Send(probe, is_probe=True)
+        best: Job[Work] | None = None
+        earliest = probe_at
+        for jobs in self._jobs.values():
+            for job in jobs:
+                if job.due > now:
+                    earliest = min(earliest, job.due)
+                elif best is None or job.deadline < best.deadline:
+                    best = job
+        if best is not None:
+            return Send(best)
+        return None if earliest == float("inf") else NotBefore(earliest)
+
+    def in_vain(self, job: Job[Work], begun: float, now: float) -> None:
+        """Take note that a probe met silence: the next one, of whatever drive, waits until its cost is paid."""
+        self._probing_allowed = begun + (now - begun) / self.silent_share
+        probe = self._probes.get(job.drive)
+        if probe is not None and probe.job is job:
+            job.due = now + probe.interval
+            probe.interval = min(2 * probe.interval, self.probe_at_most)
+
+    def done(self, job: Job[Work], now: float) -> None:
+        """Take note that a job was carried out: drop it, or set its next time on the grid of its period."""
+        if job.period is None:
+            if job in self._jobs.get(job.drive, ()):
+                self.remove(job)
+        elif job.period == 0:
+            job.due = now
+            job.deadline = now + self.turn
+        else:
+            missed = int(max(0.0, now - job.due) / job.period)
+            job.due += (missed + 1) * job.period
+            job.deadline = job.due + job.period
+
+
+def spread(count: int, period: float) -> list[float]:
+    """Return offsets that lay `count` jobs of one period evenly over it."""
+    return [index * period / count for index in range(count)]

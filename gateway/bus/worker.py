@@ -1,0 +1,230 @@
+"""Serves one line: opens it, carries out what the schedule says, and finishes every request in one place."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Awaitable, Callable, Mapping
+
+from gateway import site
+from gateway.bus.blocks import Planner
+from gateway.bus.exchange import Answered, Exchanger
+from gateway.bus.line import Line
+from gateway.bus.link import Heard, Link
+from gateway.bus.reader import DriveReader, Learnt, Work
+from gateway.bus.schedule import Job, NotBefore, Schedule, Send
+from gateway.clock import Clock
+from gateway.errors import BadReply, LineDown, NoReply, Refused
+from gateway.image import DriveImage, LinkState
+from gateway.metrics import DriveStats, LineStats
+from gateway.protocol.modbus_rtu import ModbusRtu
+
+log = logging.getLogger("gateway.bus")
+frames = logging.getLogger("gateway.bus.frames")
+
+REOPEN_FIRST = 0.5  # seconds; doubled up to the last
+REOPEN_LAST = 10.0
+SETTLE = 0.1  # seconds of silence after opening: half a frame of whoever spoke before is let go
+AHEAD_OF_POLLS = float("-inf")  # deadline of the question whether a silent drive is still there
+IDLE_WAIT = 1.0  # seconds, when there is nothing to do at all
+
+Opener = Callable[[site.Line, Clock], Awaitable[Line]]
+
+
+class _Station:
+    """One drive as this line serves it: its reader, its link, and where its values and counts go."""
+
+    def __init__(self, drive: site.Drive, image: DriveImage, stats: DriveStats, reader: DriveReader) -> None:
+        self.drive = drive
+        self.image = image
+        self.stats = stats
+        self.reader = reader
+        self.link = Link()
+        self.processing = drive.model.times.processing + drive.wait_time
+
+
+class LineWorker:
+    """One request at a time on one line, for ever."""
+
+    def __init__(
+        self,
+        line: site.Line,
+        images: Mapping[str, DriveImage],
+        stats: LineStats,
+        drive_stats: Mapping[str, DriveStats],
+        clock: Clock,
+        opener: Opener,
+    ) -> None:
+        self._line = line
+        self._stats = stats
+        self._clock = clock
+        self._opener = opener
+        self._codec = ModbusRtu()
+        self._alarm = clock.alarm()
+        self._schedule: Schedule[Work] = Schedule(line.silent_share, line.probe_every, line.probe_at_most)
+        self._stations: dict[str, _Station] = {}
+        for index, drive in enumerate(line.drives):
+            processing = drive.model.times.processing + drive.wait_time
+            planner = Planner(drive.number, drive.model, line.timing, processing)
+            reader = DriveReader(drive, planner, index / len(line.drives))
+            self._stations[drive.name] = _Station(drive, images[drive.name], drive_stats[drive.name], reader)
+
+    async def run(self) -> None:
+        """Serve the line until cancelled; a lost port is opened again with back-off."""
+        wait = REOPEN_FIRST
+        try:
+            while True:
+                try:
+                    await self._serve()
+                except LineDown as error:
+                    wait = REOPEN_FIRST if self._stats.is_up else min(2 * wait, REOPEN_LAST)
+                    self._down(str(error), wait)
+                await self._alarm.wait_until(self._clock.now() + wait)
+        finally:
+            self._stats.is_up = False
+            self._alarm.close()
+
+    def _down(self, reason: str, wait: float) -> None:
+        if self._stats.is_up or not self._stats.errors["line_down"]:
+            log.warning("line %s is down: %s; trying again every %.3g s and slower", self._line.name, reason, wait)
+        self._stats.is_up = False
+        self._stats.errors["line_down"] += 1
+        for station in self._stations.values():
+            station.reader.forget()
+            station.image.set_link(station.link.hear(Heard.LINE_LOST), reason)
+
+    async def _serve(self) -> None:
+        port = await self._opener(self._line, self._clock)
+        try:
+            await port.drain(SETTLE, 2 * SETTLE)
+            self._stats.is_up = True
+            self._stats.opened += 1
+            log.info("line %s: %s is open, %d baud", self._line.name, self._line.port, self._line.baud)
+            now = self._clock.now()
+            for station in self._stations.values():
+                station.link = Link()
+                station.image.set_link(station.link.state, "not heard yet")
+                self._schedule.probe(station.drive.name, station.reader.identify(), now)
+            exchanger = Exchanger(port, self._line.timing, self._line.margin, self._clock, self._stats)
+            while True:
+                await self._step(exchanger)
+        finally:
+            port.close()
+
+    async def _step(self, exchanger: Exchanger) -> None:
+        """Do the next thing: an exchange, or waiting for the next one's time."""
+        now = self._clock.now()
+        match self._schedule.next(now):
+            case Send(job):
+                await self._exchange(exchanger, job)
+            case NotBefore(when):
+                await self._alarm.wait_until(when)
+            case None:
+                await self._alarm.wait_until(now + IDLE_WAIT)
+
+    async def _exchange(self, exchanger: Exchanger, job: Job[Work]) -> None:
+        """Carry out one exchange; whatever comes of it is finished here and nowhere else."""
+        station = self._stations[job.drive]
+        started = self._clock.now()
+        station.stats.exchanges += 1
+        try:
+            answered = await exchanger.exchange(self._codec, job.work.request, station.processing)
+        except (NoReply, BadReply) as error:
+            self._unanswered(station, job, error, started)
+        except Refused as refused:
+            frames.debug("rx %s refused: %s", job.drive, refused)
+            station.stats.refusals += 1
+            self._stats.errors["refused"] += 1
+            self._heard(station, self._clock.now())
+            self._learn(station, job, station.reader.on_refused(job.work, refused, self._clock.now()))
+        else:
+            self._answered(station, job, answered)
+
+    def _answered(self, station: _Station, job: Job[Work], answered: Answered) -> None:
+        station.stats.answers.observe(answered.done - answered.sent)
+        self._heard(station, answered.done)
+        self._learn(station, job, station.reader.on_reply(job.work, answered.reply, answered.done), answered.done)
+
+    def _heard(self, station: _Station, now: float) -> None:
+        if station.stats.last_heard > 0:
+            station.stats.longest_gap = max(station.stats.longest_gap, now - station.stats.last_heard)
+        station.stats.last_heard = now
+
+    def _learn(self, station: _Station, job: Job[Work], learnt: Learnt, done: float | None = None) -> None:
+        """Put what an answer brought where it belongs: link, image, schedule, log."""
+        now = self._clock.now() if done is None else done
+        reader, name = station.reader, station.drive.name
+        for note in learnt.notes:
+            log.warning("%s: %s", name, note)
+        self._schedule.done(job, now)
+        if learnt.is_stranger:
+            self._hear(station, Heard.STRANGER, learnt.notes[0])
+            self._schedule.probe(name, reader.identify(), now + self._line.probe_every)
+            return
+        self._hear(station, Heard.REPLY)
+        if learnt.is_ready:
+            station.image.identity = reader.described
+            station.image.bases = {
+                base.name: base.decode(reader.facts[base.name])
+                for base in station.drive.bases
+                if base.name in reader.facts
+            }
+            self._hear(station, Heard.READY)
+        if learnt.words:
+            station.image.apply(learnt.words, now, self._clock.wall())
+        if learnt.jobs is not None:
+            self._schedule.set_jobs(name, learnt.jobs)
+            self._schedule.turn = self._turn()
+        else:
+            self._follow_up(station, job, now)
+        for work in learnt.once:
+            self._schedule.add(Job(name, work, None, now, now))
+
+    def _follow_up(self, station: _Station, job: Job[Work], now: float) -> None:
+        if (later := station.reader.follow_up(job.work, now)) is not None:
+            self._schedule.add(later)
+
+    def _turn(self) -> float:
+        """Return how long one round of everything that is read as fast as possible takes."""
+        timing = self._line.timing
+        return sum(
+            timing.exchange(8, self._codec.answer_size(job.work.request), station.processing)
+            for name, station in self._stations.items()
+            for job in self._schedule.jobs(name)
+            if job.period == 0
+        )
+
+    def _hear(self, station: _Station, heard: Heard, reason: str = "") -> None:
+        before = station.link.state
+        state = station.link.hear(heard)
+        if state is not before:
+            is_trouble = state in (LinkState.OFFLINE, LinkState.STRANGER)
+            level = logging.WARNING if is_trouble else logging.INFO
+            log.log(level, "%s is %s%s", station.drive.name, state.word, f": {reason}" if reason else "")
+        station.image.set_link(state, reason)
+
+    def _unanswered(self, station: _Station, job: Job[Work], error: NoReply | BadReply, started: float) -> None:
+        """Count silence or garbage, and decide how the drive is tried next.
+
+        The next request differs in form from the one without an answer (an identification), so that a late
+        answer to the old one cannot be taken for its answer.
+        """
+        now = self._clock.now()
+        kind = "no_reply" if isinstance(error, NoReply) else "bad_reply"
+        self._stats.errors[kind] += 1
+        if isinstance(error, NoReply):
+            station.stats.timeouts += 1
+        else:
+            station.stats.bad_replies += 1
+        frames.debug("rx %s: %s", job.drive, error)
+        name, was_probed = station.drive.name, self._schedule.is_probed(station.drive.name)
+        self._hear(station, Heard.SILENCE, str(error))
+        if was_probed:
+            self._schedule.in_vain(job, started, now)
+            job.work = station.reader.identify()
+        elif station.link.state is LinkState.SUSPECT:
+            self._schedule.done(job, now)
+            self._follow_up(station, job, now)
+            self._schedule.add(Job(name, station.reader.identify(), None, now, AHEAD_OF_POLLS))
+        else:
+            station.reader.forget()
+            self._schedule.probe(name, station.reader.identify(), now + self._line.probe_every)
