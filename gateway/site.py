@@ -53,6 +53,7 @@ class Drive:
     number: int
     unit: int
     model: Model
+    protocol: str
     wait_time: float
     groups: tuple[PollGroup, ...]
     points: Mapping[str, Point]
@@ -221,6 +222,7 @@ def _drive(line: str, section: DriveSection, model: Model, cycle: float) -> Driv
         number=section.number,
         unit=section.number if section.unit is None else section.unit,
         model=model,
+        protocol=section.protocol,
         wait_time=section.wait_time,
         groups=groups,
         points=points,

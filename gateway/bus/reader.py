@@ -52,6 +52,7 @@ class Learnt:
     is_stranger: bool = False
     is_ready: bool = False
     notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
 
 class DriveReader:
@@ -109,8 +110,8 @@ class DriveReader:
         if expected and not identity.device.startswith(expected):
             self.is_set_up = False
             self.identity = None
-            note = f"identity mismatch: {self.drive.model.name} is configured, {identity.device!r} answers"
-            return Learnt(is_stranger=True, notes=[note])
+            warning = f"identity mismatch: {self.drive.model.name} is configured, {identity.device!r} answers"
+            return Learnt(is_stranger=True, warnings=[warning])
         is_same = self.is_set_up and self.identity in (None, identity)
         self.identity = identity
         return Learnt(is_ready=True) if is_same else self._set_up(now)
@@ -207,8 +208,11 @@ class DriveReader:
             self._candidates.clear()
             self.able = replace(self.able, mapping=mapping)
             return self._start_polls(now)
-        note = "the block does not carry what F875-F879 say: a changed selector acts only after a reset"
-        return self._next_proof(now, [note])
+        learnt = self._next_proof(now)
+        learnt.warnings.append(
+            "the block does not carry what F875-F879 say: a changed selector acts only after a reset of the drive"
+        )
+        return learnt
 
     # ---- its polls
 
@@ -272,7 +276,7 @@ class DriveReader:
         if isinstance(read.request, ReadBlock) and self._audit is not None and not self._audit.block(words):
             self._audit = None
             learnt = self._set_up(now)
-            learnt.notes.append("the block no longer carries what it did: the drive was reset or set anew")
+            learnt.warnings.append("the block no longer carries what it did: the drive was reset or set anew")
             return learnt
         doubtful = [Work(Task.POLL, r.request, r) for r in map(self._alone, read.doubtful(words))]
         if len(read.carries) == 1 and words[0] == HOLE:
@@ -284,7 +288,7 @@ class DriveReader:
         if all(self.facts.get(name) in (None, word) for name, word in found.items()):
             return Learnt(read.values(words))
         learnt = self._set_up(now)
-        learnt.notes.append("F875-F879 were changed; the change acts after a reset of the drive")
+        learnt.warnings.append("F875-F879 were changed; the change acts after a reset of the drive")
         return learnt
 
     # ---- refusals
@@ -307,7 +311,7 @@ class DriveReader:
             case Work(Task.POLL, read=PlannedRead() as read) if refused.reason is not Refusal.UNABLE:
                 name = read.registers[0].name
                 self.absent.add(name)
-                return Learnt(jobs=self.polls(now), notes=[f"{name}: {refused}; it is not read any more"])
+                return Learnt(jobs=self.polls(now), warnings=[f"{name}: {refused}; it is not read any more"])
         return Learnt()
 
     def _fact_refused(self, read: PlannedRead, refused: Refused, now: float) -> Learnt:

@@ -154,10 +154,12 @@ class LineWorker:
         now = self._clock.now() if done is None else done
         reader, name = station.reader, station.drive.name
         for note in learnt.notes:
-            log.warning("%s: %s", name, note)
+            log.info("%s: %s", name, note)
+        for warning in learnt.warnings:
+            log.warning("%s: %s", name, warning)
         self._schedule.done(job, now)
         if learnt.is_stranger:
-            self._hear(station, Heard.STRANGER, learnt.notes[0])
+            self._hear(station, Heard.STRANGER, learnt.warnings[0])
             self._schedule.probe(name, reader.identify(), now + self._line.probe_every)
             return
         self._hear(station, Heard.REPLY)

@@ -1,0 +1,136 @@
+"""Builds everything from the site, runs it as one task group, and ends it in order."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import logging
+import signal
+from collections.abc import Coroutine
+from typing import Any
+
+from gateway import __version__, systemd
+from gateway.bus.serial_line import open_line
+from gateway.bus.worker import LineWorker, Opener
+from gateway.clock import Clock, SystemClock
+from gateway.errors import GatewayError
+from gateway.image import Image, LinkState
+from gateway.metrics import DriveStats, LineStats, Stats
+from gateway.modbus_tcp.server import ModbusTcpServer
+from gateway.mqtt.bridge import Bridge
+from gateway.site import Site
+from gateway.web.server import WebServer
+
+log = logging.getLogger("gateway")
+
+SWEEP_EVERY = 0.1  # seconds between two looks for values that turned stale
+RATES_EVERY = 1.0  # seconds over which load and exchanges per second are counted
+
+
+class CoreTaskEnded(GatewayError):
+    """A task that must run for ever has ended: the process ends too, and the service manager starts it anew."""
+
+
+class App:
+    """One gateway. Parts that touch the world can be replaced: the clock, and how a line is opened."""
+
+    def __init__(self, site: Site, clock: Clock | None = None, opener: Opener = open_line) -> None:
+        self.site = site
+        self.clock = clock or SystemClock()
+        self.image = Image(site.drives)
+        self.stats = Stats(started=self.clock.wall())
+        self.stats.lines = {line.name: LineStats() for line in site.lines}
+        self.stats.drives = {drive.name: DriveStats() for drive in site.drives}
+        config = site.config
+        self.workers = [
+            LineWorker(
+                line, self.image.by_name, self.stats.lines[line.name], self.stats.drives, self.clock, opener
+            )
+            for line in site.lines
+        ]
+        self.bridge = (
+            Bridge(config.mqtt, config.gateway.name, self.image, self.stats.mqtt, self.clock) if config.mqtt else None
+        )
+        self.modbus_tcp = (
+            ModbusTcpServer(config.modbus_tcp, self.image, self.stats, self.clock) if config.modbus_tcp else None
+        )
+        self.web = WebServer(config.web, self.image, self.stats, site, self.clock) if config.web else None
+        self._stop = asyncio.Event()
+
+    def stop(self) -> None:
+        """Ask the running gateway to end in order."""
+        self._stop.set()
+
+    async def run(self) -> None:
+        """Run until `stop`, SIGTERM or SIGINT; GatewayError says what keeps it from starting or made it end."""
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, self.stop)
+        servers = [server for server in (self.modbus_tcp, self.web) if server is not None]
+        started = []
+        try:
+            for server in servers:
+                await server.start()
+                started.append(server)
+            await self._run_tasks()
+        finally:
+            systemd.notify("STOPPING=1")
+            for server in reversed(started):
+                await server.stop()
+
+    async def _run_tasks(self) -> None:
+        """Run the core tasks together; the first that ends, ends them all."""
+        tasks: dict[str, Coroutine[Any, Any, None]] = {"housekeeping": self._keep_house()}
+        for line, worker in zip(self.site.lines, self.workers, strict=True):
+            tasks[f"line {line.name}"] = worker.run()
+        if self.bridge is not None:
+            tasks["mqtt"] = self.bridge.run()
+        running = [asyncio.create_task(_for_ever(name, task), name=name) for name, task in tasks.items()]
+        stop = asyncio.create_task(self._stop.wait())
+        gc.collect()
+        gc.freeze()  # what lives for ever is not searched again while a line waits
+        systemd.notify("READY=1")
+        log.info("tosvert-gateway %s: %d lines, %d drives", __version__, len(self.site.lines), len(self.site.drives))
+        try:
+            done, _ = await asyncio.wait([*running, stop], return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in [*running, stop]:
+                task.cancel()
+            await asyncio.gather(*running, stop, return_exceptions=True)
+        for task in done - {stop}:
+            await task
+        log.info("ended in order")
+
+    async def _keep_house(self) -> None:
+        """Find what turned stale, count rates, tell the service manager that the loop is alive."""
+        watchdog = systemd.watchdog_interval()
+        next_rates = next_pat = self.clock.now()
+        before = dict.fromkeys(self.stats.lines, (0, 0.0))
+        while True:
+            now = self.clock.now()
+            self.image.sweep(now)
+            if now >= next_rates:
+                before = self._count_rates(before, now - next_rates + RATES_EVERY)
+                next_rates = now + RATES_EVERY
+            if watchdog is not None and now >= next_pat:
+                systemd.notify(f"WATCHDOG=1\nSTATUS={self.status()}")
+                next_pat = now + watchdog / 3
+            await asyncio.sleep(SWEEP_EVERY)
+
+    def _count_rates(self, before: dict[str, tuple[int, float]], elapsed: float) -> dict[str, tuple[int, float]]:
+        for name, line in self.stats.lines.items():
+            exchanges, busy = before[name]
+            line.rate = (line.exchanges - exchanges) / elapsed
+            line.load = min(1.0, (line.busy - busy) / elapsed)
+        return {name: (line.exchanges, line.busy) for name, line in self.stats.lines.items()}
+
+    def status(self) -> str:
+        """Say in one line how things stand."""
+        online = sum(image.link is LinkState.ONLINE for image in self.image.drives)
+        up = sum(line.is_up for line in self.stats.lines.values())
+        return f"{up} of {len(self.stats.lines)} lines up, {online} of {len(self.image.drives)} drives online"
+
+
+async def _for_ever(name: str, task: Coroutine[Any, Any, None]) -> None:
+    await task
+    raise CoreTaskEnded(f"task {name!r} has ended, which it never should")

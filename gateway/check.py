@@ -1,0 +1,125 @@
+"""What a configuration comes to before anything runs: exchanges, their times, the load of each line, topics, map."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from gateway.bus.blocks import Abilities, BlockMapping, PlannedRead, Planner
+from gateway.bus.reader import DriveReader
+from gateway.protocol.pdu import ReadBlock
+from gateway.site import Drive, Line, PollGroup, Site
+
+FULL = 1.0  # share of the line
+
+
+@dataclass(frozen=True, slots=True)
+class DrivePlan:
+    """How one drive is read: its groups with their reads, and the selectors that this supposes."""
+
+    drive: Drive
+    planner: Planner
+    selectors: tuple[int, ...]
+    groups: Sequence[tuple[PollGroup, tuple[PlannedRead, ...]]]
+
+    @property
+    def load(self) -> float:
+        """Return the share of the line that the timed groups take."""
+        return sum(self.planner.time(reads) / group.period for group, reads in self.groups if group.period)
+
+    @property
+    def round(self) -> float:
+        """Return how many seconds of wire one round of the groups without a period takes."""
+        return sum(self.planner.time(reads) for group, reads in self.groups if not group.period)
+
+
+def plan_drive(drive: Drive, line: Line, *, with_selectors: bool) -> DrivePlan:
+    """Plan a drive as it is shipped (no selectors set), or with the best selectors set."""
+    planner = Planner(drive.number, drive.model, line.timing, drive.model.times.processing + drive.wait_time)
+    reader = DriveReader(drive, planner, 0.0)
+    codes, mapping = best_selectors(drive) if with_selectors else ((), None)
+    reader.able = Abilities(mapping=mapping)
+    return DrivePlan(drive, planner, codes, reader.plan())
+
+
+def best_selectors(drive: Drive) -> tuple[tuple[int, ...], BlockMapping | None]:
+    """Return the values for F875-F879 that bring the most often wanted registers in the block."""
+    length = drive.model.blocks.indirect_read_maximum
+    code_of = {name: code for code, name in drive.model.read_selectors.items() if name}
+    wanted = [
+        register.name
+        for group in sorted(drive.groups, key=lambda group: group.period)
+        for register in group.registers
+        if register.name in code_of
+    ]
+    names = list(dict.fromkeys(wanted))[:length]
+    if not names:
+        return (), None
+    return tuple(code_of[name] for name in names), tuple(drive.model.registers[name] for name in names)
+
+
+def report(site: Site) -> Iterator[str]:
+    """Yield the plan of a site as lines of text."""
+    yield f"gateway {site.config.gateway.name}: {len(site.lines)} lines, {len(site.drives)} drives"
+    for line in site.lines:
+        yield from _line(line)
+
+
+def _line(line: Line) -> Iterator[str]:
+    shipped = [plan_drive(drive, line, with_selectors=False) for drive in line.drives]
+    best = [plan_drive(drive, line, with_selectors=True) for drive in line.drives]
+    yield ""
+    yield f"line {line.name}: {line.port}, {line.baud} baud, parity {line.parity}, {len(line.drives)} drives"
+    yield f"  gap between frames {line.timing.gap * 1000:.2f} ms; an answer may come {line.margin * 1000:.0f} ms late"
+    yield f"  load with F875-F879 as below: {_load(best)};  as shipped (all 0): {_load(shipped)}"
+    yield from _advice(shipped, best)
+    for plan in best:
+        yield from _drive(plan)
+
+
+def _load(plans: Sequence[DrivePlan]) -> str:
+    load = sum(plan.load for plan in plans)
+    turn = sum(plan.round for plan in plans)
+    text = f"{load:.0%} by timed polls"
+    if not turn:
+        return text
+    if load >= FULL:
+        return f"{text}, nothing left for the polls without a period"
+    return f"{text}, the rest by polls without a period, each every {turn / (FULL - load) * 1000:.0f} ms"
+
+
+def _advice(shipped: Sequence[DrivePlan], best: Sequence[DrivePlan]) -> Iterator[str]:
+    load = sum(plan.load for plan in best)
+    if load > FULL:
+        yield (
+            f"  DOES NOT FIT: {load:.0%} of the line is asked for. Every period will come out about {load:.1f} times"
+            " as long. Ask for fewer values, longer periods, or raise F800 (38400) and line.baud together."
+        )
+    elif sum(plan.load for plan in shipped) > FULL:
+        yield "  FITS ONLY with F875-F879 set as below (and the drives reset afterwards)."
+
+
+def _drive(plan: DrivePlan) -> Iterator[str]:
+    drive = plan.drive
+    yield f"  drive {drive.name}: number {drive.number}, {drive.model.name}, {drive.protocol}, unit {drive.unit}"
+    uses_block = any(isinstance(read.request, ReadBlock) for _, reads in plan.groups for read in reads)
+    if uses_block:
+        pairs = ", ".join(f"F{875 + i}={code}" for i, code in enumerate(plan.selectors))
+        yield f"    set in the drive, then reset it: {pairs}"
+    for group, reads in plan.groups:
+        period = f"{group.period * 1000:.0f} ms" if group.period else "as fast as possible"
+        took = plan.planner.time(reads) * 1000
+        yield f"    every {period}: {len(reads)} exchanges, {took:.1f} ms; stale after {group.max_age:.3g} s"
+        for read in reads:
+            yield f"      {_read(read)}"
+        missing = {r.name for r in group.registers} - {r.name for read in reads for r in read.registers}
+        if missing:
+            yield f"      {', '.join(sorted(missing))}: come with a faster block"
+
+
+def _read(read: PlannedRead) -> str:
+    names = ", ".join(register.name for register in read.registers)
+    if isinstance(read.request, ReadBlock):
+        return f"indirect block, {read.request.count} words: {names}"
+    form = "single read" if read.request.count == 1 else f"direct block, {read.request.count} words"
+    return f"{form} from {read.request.address:04X}H: {names}"

@@ -1,0 +1,177 @@
+"""The command line: run, check, map, schema, registers, simulate, demo."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gateway import __version__, check, logs, site
+from gateway.app import App, CoreTaskEnded
+from gateway.config import Config
+from gateway.drives import catalogue
+from gateway.errors import BadConfig, GatewayError
+from gateway.modbus_tcp import mapping
+from gateway.mqtt import topics
+from gateway.sim import runner, settings
+
+EXIT_USAGE = 64  # sysexits(3): the numbers that service managers know
+EXIT_UNAVAILABLE = 69
+EXIT_SOFTWARE = 70
+EXIT_CONFIG = 78
+
+app = typer.Typer(
+    help="MODBUS-TCP and MQTT gateway for Toshiba TOSVERT drives on RS485. Not a safety function.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+ConfigFile = Annotated[Path, typer.Argument(metavar="FILE", help="configuration file (TOML)")]
+
+
+class MapFormat(str, Enum):
+    """How the register map is printed."""
+
+    MD = "md"
+    CSV = "csv"
+    JSON = "json"
+
+
+def run_command() -> None:
+    """Run the command line; what the gateway can explain is explained in a line, never with a traceback."""
+    try:
+        app()
+    except BadConfig as error:
+        _fail(error, EXIT_CONFIG)
+    except CoreTaskEnded as error:
+        _fail(error, EXIT_SOFTWARE)
+    except GatewayError as error:
+        _fail(error, EXIT_UNAVAILABLE)
+
+
+def _fail(error: GatewayError, code: int) -> None:
+    typer.echo(f"tosvert-gateway: {error}".replace("\n", "\n  "), err=True)
+    sys.exit(code)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"tosvert-gateway {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """MODBUS-TCP and MQTT gateway for Toshiba TOSVERT drives on RS485. Not a safety function."""
+
+
+@app.command()
+def run(
+    file: ConfigFile,
+    loop: Annotated[str | None, typer.Option(help="uvloop or asyncio, instead of gateway.loop")] = None,
+) -> None:
+    """Run the gateway until SIGTERM or SIGINT."""
+    configured = site.load(file)
+    section = configured.config.gateway
+    logs.set_up(section.log.level, section.log.format)
+    chosen = loop or section.loop
+    if chosen not in ("uvloop", "asyncio"):
+        raise BadConfig(f"--loop {chosen}: give uvloop or asyncio")
+    factory = None
+    if chosen == "uvloop":
+        import uvloop
+
+        factory = uvloop.new_event_loop
+    with asyncio.Runner(loop_factory=factory) as runner_:
+        runner_.run(_run(configured))
+
+
+async def _run(configured: site.Site) -> None:
+    logs.watch_loop(asyncio.get_running_loop())
+    await App(configured).run()
+
+
+@app.command("check")
+def check_file(file: ConfigFile) -> None:
+    """Check a configuration and print what it comes to: exchanges, load, topics, register map."""
+    configured = site.load(file)
+    for line in check.report(configured):
+        typer.echo(line)
+    section = configured.config.mqtt
+    if section is not None:
+        typer.echo("\nMQTT topics")
+        for topic in topics.overview(section, configured):
+            typer.echo(f"  {topic}")
+    if configured.config.modbus_tcp is not None:
+        typer.echo(f"\nMODBUS-TCP on {configured.config.modbus_tcp.listen}")
+        typer.echo(mapping.as_markdown(mapping.register_map(configured)))
+    typer.echo(f"\n{file}: no errors")
+
+
+@app.command("map")
+def print_map(
+    file: ConfigFile,
+    form: Annotated[MapFormat, typer.Option("--format", help="md, csv or json")] = MapFormat.MD,
+) -> None:
+    """Print the MODBUS-TCP register map of a configuration, for the SCADA engineer."""
+    document = mapping.register_map(site.load(file))
+    printers = {MapFormat.MD: mapping.as_markdown, MapFormat.CSV: mapping.as_csv, MapFormat.JSON: mapping.as_json}
+    typer.echo(printers[form](document), nl=form is not MapFormat.CSV)
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON Schema of the configuration file, for editors."""
+    typer.echo(json.dumps(Config.model_json_schema(), indent=2, sort_keys=True))
+
+
+@app.command()
+def registers(
+    model: Annotated[str, typer.Argument(help="vf-nc3, vf-mb1, vf-as3, or one of your own")],
+    catalogue_file: Annotated[list[Path] | None, typer.Option("--catalogue", help="a further catalogue file")] = None,
+) -> None:
+    """List the registers of a drive model: what can stand under `values`."""
+    models = catalogue.load(catalogue_file or [])
+    if model not in models:
+        raise BadConfig(f"no model {model!r}; known: {', '.join(sorted(models))}")
+    for register in sorted(models[model].registers.values(), key=lambda register: register.address):
+        access = "read, write" if register.is_writable else "read"
+        unit = f"{register.scaling.scale} {register.unit}".strip()
+        typer.echo(f"{register.address:04X}  {register.name:34}{unit:12}{access:13}{register.title}")
+    for derived in models[model].derived:
+        typer.echo(f"      {derived.name:34}{derived.unit:12}{'computed':13}{derived.of} of {derived.base}")
+
+
+@app.command()
+def simulate(
+    file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="the simulated line (TOML)")] = None,
+    drive: Annotated[list[str] | None, typer.Option(help="NUMBER:MODEL, again for each drive, instead of a file")] = None,
+    baud: Annotated[int, typer.Option(help="9600, 19200 or 38400, with --drive")] = 19200,
+    link: Annotated[Path | None, typer.Option(help="a symbolic link to the port, kept while the line runs")] = None,
+    control: Annotated[Path | None, typer.Option(help="a socket for faults and statistics")] = None,
+) -> None:
+    """Simulate drives on an RS485 line behind a pty, for any MODBUS-RTU master."""
+    if (file is None) == (not drive):
+        raise BadConfig("simulate: give a FILE or at least one --drive NUMBER:MODEL")
+    config = settings.load(file) if file else settings.from_options(drive or [], baud=baud)
+    if link is not None:
+        config = config.model_copy(update={"link": str(link)})
+    runner.simulate(config, control=control, announce=typer.echo)
+
+
+@app.command()
+def demo() -> None:
+    """Show the main job without hardware: simulated drives, a broker, the gateway, and a live view."""
+    from gateway import demo as demonstration  # needs the extra "demo"
+
+    demonstration.run()
