@@ -66,6 +66,7 @@ def test_times_have_the_ranges_of_the_summary(as3: Model, connector: str) -> Non
     assert (timeout.format(timeout.minimum or 0), timeout.format(timeout.maximum or 0)) == ("0.0", "100.0")
     assert (wait.format(wait.minimum or 0), wait.format(wait.maximum or 0)) == ("0.00", "2.00")
     assert (timeout.initial, wait.initial) == (0, 0)
+    assert (timeout.unit, wait.unit) == ("s", "s")
 
 
 def test_a_master_sends_one_of_four_values(as3: Model) -> None:
@@ -74,7 +75,15 @@ def test_a_master_sends_one_of_four_values(as3: Model) -> None:
         enumeration = as3.registers[name].enumeration
         assert enumeration is not None
         assert sorted(enumeration.texts) == [0, 1, 2, 3, 4, 5, 6]
+        assert (as3.registers[name].minimum, as3.registers[name].maximum) == (0, 6)
         assert as3.registers[name].text(5) == "Master, sends the torque command"
+
+
+def test_proportional_speed_is_converted_in_one_of_two_ways(as3: Model) -> None:
+    """F810: 0 without correction, 1 by two points."""
+    points = as3.registers["frequency_points"]
+    assert (points.minimum, points.maximum) == (0, 1)
+    assert (points.text(0), points.text(1)) == ("Without correction", "By two points")
 
 
 @pytest.mark.hazard("H08")

@@ -11,35 +11,35 @@ from gateway.drives.model import Model
 from gateway.drives.register import Kind, Storage
 from gateway.drives.scaling import OutOfRange
 
-# Section 9, "Commands": number, name, writes go to.
+# Section 9, "Commands": number, name, writes go to, lowest and highest (None: of FH, LL, UL) and initial raw value.
 COMMANDS = [
-    (0xFA00, "command", "ram"),
-    (0xFA01, "frequency_command", "ram"),
-    (0xFA03, "panel_frequency", "eeprom"),
-    (0xFA08, "local_remote", "eeprom"),
-    (0xFA10, "panel_key_selection", "ram"),
-    (0xFA11, "external_keys", "ram"),
-    (0xFA13, "motor_speed_command", "ram"),
-    (0xFA20, "command_2", "ram"),
-    (0xFA26, "command_3", "ram"),
-    (0xFA50, "terminal_output", "ram"),
-    (0xFA51, "analog_output", "ram"),
-    (0xFA65, "led_selection", "eeprom"),
-    (0xFA66, "led_number", "eeprom"),
-    (0xFA67, "led_decimal_point", "eeprom"),
-    (0xFA68, "led_unit_0", "eeprom"),
-    (0xFA70, "led_text_1_digit_1", "eeprom"),
-    (0xFA71, "led_text_1_digit_2", "eeprom"),
-    (0xFA72, "led_text_1_digit_3", "eeprom"),
-    (0xFA73, "led_text_1_digit_4", "eeprom"),
-    (0xFA74, "led_unit_1", "eeprom"),
-    (0xFA75, "led_text_2_digit_1", "eeprom"),
-    (0xFA76, "led_text_2_digit_2", "eeprom"),
-    (0xFA77, "led_text_2_digit_3", "eeprom"),
-    (0xFA78, "led_text_2_digit_4", "eeprom"),
-    (0xFA79, "led_unit_2", "eeprom"),
-    (0xFA80, "block_mode", "eeprom"),
-    (0xFA87, "reset_detection", "ram"),
+    (0xFA00, "command", "ram", 0, 65535, 0),
+    (0xFA01, "frequency_command", "ram", None, None, 0),
+    (0xFA03, "panel_frequency", "eeprom", None, None, 0),
+    (0xFA08, "local_remote", "eeprom", 0, 1, 0),
+    (0xFA10, "panel_key_selection", "ram", 0, 1, 0),
+    (0xFA11, "external_keys", "ram", 0, 65535, 0),
+    (0xFA13, "motor_speed_command", "ram", 0, 24000, 0),
+    (0xFA20, "command_2", "ram", 0, 65535, 0),
+    (0xFA26, "command_3", "ram", 0, 65535, 0),
+    (0xFA50, "terminal_output", "ram", 0, 255, 0),
+    (0xFA51, "analog_output", "ram", 0, 1000, 0),
+    (0xFA65, "led_selection", "eeprom", 0, 2, 1),
+    (0xFA66, "led_number", "eeprom", 0, 9999, 0),
+    (0xFA67, "led_decimal_point", "eeprom", 0, 2, 0),
+    (0xFA68, "led_unit_0", "eeprom", 0, 3, 0),
+    (0xFA70, "led_text_1_digit_1", "eeprom", 0, 127, ord("d")),
+    (0xFA71, "led_text_1_digit_2", "eeprom", 0, 255, ord("A")),
+    (0xFA72, "led_text_1_digit_3", "eeprom", 0, 255, ord("t")),
+    (0xFA73, "led_text_1_digit_4", "eeprom", 0, 127, ord("A")),
+    (0xFA74, "led_unit_1", "eeprom", 0, 3, 0),
+    (0xFA75, "led_text_2_digit_1", "eeprom", 0, 127, ord("0")),
+    (0xFA76, "led_text_2_digit_2", "eeprom", 0, 255, ord("0")),
+    (0xFA77, "led_text_2_digit_3", "eeprom", 0, 255, ord("0")),
+    (0xFA78, "led_text_2_digit_4", "eeprom", 0, 127, ord("0")),
+    (0xFA79, "led_unit_2", "eeprom", 0, 3, 0),
+    (0xFA80, "block_mode", "eeprom", 0, 1, 0),
+    (0xFA87, "reset_detection", "ram", 0, 255, 0),
 ]
 
 # Section 9, "Monitor parameters": current value, trip data held (0: none), name, unit of one count.
@@ -174,6 +174,9 @@ MENTIONED = {
     0x0749: "energy_unit",
 }
 
+# Section 8.3.2.
+KEYS = dict(enumerate(("run", "stop", "up", "down", "mode", "enter", "easy", "local_remote")))
+
 # Section 8.2: code in hexadecimal, as the panel shows it.
 TRIPS = (
     "0 nerr 1 oc1 2 oc2 3 oc3 4 ocl 5 oca 8 ephi 9 epho A op1 B op2 C op3 D ol1 E ol2 F olr 10 oh 11 e 12 eep1 "
@@ -198,7 +201,7 @@ def mb1() -> Model:
 
 def test_every_number_of_the_manual_is_there_and_no_other(mb1: Model) -> None:
     """Compare all numbers and names with the tables typed from the manual."""
-    expected = {number: name for number, name, _ in COMMANDS} | MENTIONED
+    expected = {number: name for number, name, *_ in COMMANDS} | MENTIONED
     expected |= {number: name for number, name, *_ in COMMUNICATION}
     for number, held, name, _ in MONITORS:
         expected[number] = name
@@ -208,13 +211,14 @@ def test_every_number_of_the_manual_is_there_and_no_other(mb1: Model) -> None:
     assert len(expected) == 27 + 57 + 24 + 23 + 40
 
 
-@pytest.mark.parametrize(("number", "name", "storage"), COMMANDS)
+@pytest.mark.parametrize(("number", "name", "storage", "low", "high", "initial"), COMMANDS)
 def test_commands_are_writable_and_stored_as_the_manual_says(
-    mb1: Model, number: int, name: str, storage: str
+    mb1: Model, number: int, name: str, storage: str, low: int | None, high: int | None, initial: int
 ) -> None:
-    """Compare the EEPROM column; all commands may be written while running."""
+    """Compare range, initial value and the EEPROM column; all commands may be written while running."""
     register = mb1.registers[name]
     assert (register.address, register.storage.value) == (number, storage)
+    assert (register.minimum, register.maximum, register.initial) == (low, high, initial)
     assert (register.kind, register.is_writable, register.writable_while_running) == (Kind.COMMAND, True, True)
 
 
@@ -251,6 +255,126 @@ def test_status_and_command_bits_are_those_of_the_manual(mb1: Model) -> None:
     command += "dc_braking jog reverse run coast emergency_stop fault_reset frequency_priority command_priority"
     assert dict(mb1.registers["status"].bits) == dict(enumerate(status.split()))
     assert dict(mb1.registers["command"].bits) == dict(enumerate(command.split()))
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "low", "high", "initial"),
+    [
+        ("automatic_acceleration", "", 0, 2, 0),
+        ("overload_characteristic", "", 0, 2, 0),
+        ("acceleration_time_1", "0.1s", 0, 36000, 100),
+        ("deceleration_time_1", "0.1s", 1, 36000, 1),
+        ("acceleration_time_2", "0.1s", 1, 36000, 1),
+        ("deceleration_time_2", "0.1s", 1, 36000, 1),
+        ("acceleration_time_3", "0.1s", 1, 36000, 1),
+        ("deceleration_time_3", "0.1s", 1, 36000, 1),
+        ("frequency_mode_selection", "", None, None, 0),
+        ("input_function_1", "", None, None, 0),
+        ("output_function_1", "", None, None, 0),
+        ("standard_monitor", "", None, None, 0),
+    ],
+)
+def test_other_writable_parameters_have_what_the_manual_states(
+    mb1: Model, name: str, unit: str, low: int | None, high: int | None, initial: int
+) -> None:
+    """Range, unit and initial value are there only where the manual states them."""
+    register = mb1.registers[name]
+    shown = f"{register.scaling.scale}{register.unit}" if register.unit else ""
+    assert (shown, register.minimum, register.maximum, register.initial) == (unit, low, high, initial)
+    assert (register.kind, register.storage) == (Kind.PARAMETER, Storage.EEPROM)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("communication_timeout", "0.1s"),
+        ("communication_wait_time", "0.01s"),
+        ("analog_output", "0.1%"),
+        ("frequency_command", "0.01Hz"),
+        ("panel_frequency", "0.01Hz"),
+        ("motor_speed_command", "1min-1"),
+        ("point_1_setting", "1%"),
+        ("point_2_setting", "1%"),
+        ("point_1_frequency", "0.01Hz"),
+        ("point_2_frequency", "0.01Hz"),
+    ],
+)
+def test_what_is_written_is_in_the_unit_of_the_table(mb1: Model, name: str, unit: str) -> None:
+    """Compare the unit columns of commands and communication parameters."""
+    register = mb1.registers[name]
+    assert f"{register.scaling.scale}{register.unit}" == unit
+
+
+@pytest.mark.parametrize(
+    ("name", "bits"),
+    [
+        (
+            "command_2",
+            {
+                1: "energy_reset",
+                7: "maximum_deceleration_stop",
+                8: "acceleration_select_1",
+                9: "acceleration_select_2",
+                12: "oc_stall_2",
+            },
+        ),
+        ("command_3", {0: "ry_hold", 1: "out_hold"}),
+        ("terminal_output", {0: "data_output_1", 1: "data_output_2"}),
+        (
+            "status_3",
+            {
+                0: "ry_hold",
+                1: "out_hold",
+                10: "constant_speed",
+                11: "healthy",
+                12: "speed_reached",
+                13: "specified_speed_reached",
+                14: "accelerating",
+                15: "decelerating",
+            },
+        ),
+        (
+            "alarm",
+            {
+                0: "overcurrent",
+                1: "inverter_overload",
+                2: "motor_overload",
+                3: "overheat",
+                4: "overvoltage",
+                5: "undervoltage",
+                6: "device_overheat",
+                7: "low_current",
+                8: "over_torque",
+                9: "braking_resistor_overload",
+                10: "operation_time",
+                13: "moff",
+                14: "blackout_deceleration",
+                15: "lower_limit_stop",
+            },
+        ),
+        (
+            "replacement_alarm",
+            {0: "fan_life", 1: "circuit_board_life", 2: "main_capacitor_life", 3: "user_set"},
+        ),
+        ("input_terminals", {0: "f", 1: "r", 2: "res", 3: "s1", 4: "s2", 5: "s3", 6: "vib", 7: "via"}),
+        ("output_terminals", {0: "ry", 1: "out", 2: "fl"}),
+        (
+            "status_2",
+            {
+                7: "maximum_deceleration_stop",
+                8: "acceleration_select_1",
+                9: "acceleration_select_2",
+                12: "oc_stall_2",
+            },
+        ),
+        ("panel_keys", {0: "run", 1: "stop", 2: "up", 3: "down", 4: "mode", 5: "enter", 6: "easy"}),
+        ("external_keys", KEYS),
+        ("key_state", KEYS),
+    ],
+)
+def test_bits_have_the_names_of_the_manuals_table(mb1: Model, name: str, bits: dict[int, str]) -> None:
+    """Compare the tables of VF-MB1 RS485 8.1-8.2, bit by bit."""
+    assert dict(mb1.registers[name].bits) == bits
 
 
 @pytest.mark.hazard("H20")
@@ -395,7 +519,28 @@ def test_fmod_for_rs485_is_4_here(mb1: Model) -> None:
 
 def test_motor_poles_are_coded(mb1: Model) -> None:
     """F856 = 2 stands for 4 poles, 8 for 16."""
-    assert [mb1.registers["motor_poles"].text(code) for code in (1, 2, 8)] == ["2 poles", "4 poles", "16 poles"]
+    assert [mb1.registers["motor_poles"].text(code) for code in range(1, 9)] == [
+        f"{2 * i} poles" for i in range(1, 9)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "codes"),
+    [
+        ("input_function_8", [0, 20, 21, 48, 49, 52, 53]),
+        ("output_function_2", [10, 92, 93, 94, 95]),
+        ("write_protection", [2, 4]),
+        ("energy_unit", [0, 1, 2, 3]),
+        ("timeout_action", [0, 1, 2]),
+        ("timeout_detection", [0, 1, 2]),
+        ("master_slave", [0, 1, 2, 3, 4]),
+    ],
+)
+def test_parameters_have_the_codes_of_the_manual(mb1: Model, name: str, codes: list[int]) -> None:
+    """The codes that the manual names, and no other."""
+    enumeration = mb1.registers[name].enumeration
+    assert enumeration is not None
+    assert sorted(enumeration.texts) == codes
 
 
 def test_the_time_unit_0999_is_never_written(mb1: Model) -> None:
@@ -418,6 +563,18 @@ def test_trip_codes_of_this_model_have_their_texts(mb1: Model) -> None:
     assert mb1.registers["past_trip_8"].text(0x1C) == "err9: Remote keypad disconnected"
 
 
+def test_amperes_and_volts_are_derived_from_the_ratings(mb1: Model) -> None:
+    """Percentages of FE70 and FE71, now and at a trip."""
+    assert {d.name: (d.of, d.base, d.unit) for d in mb1.derived} == {
+        "output_current_amps": ("output_current", "rated_current", "A"),
+        "output_voltage_volts": ("output_voltage", "rated_voltage", "V"),
+        "input_voltage_volts": ("input_voltage", "rated_voltage", "V"),
+        "trip_output_current_amps": ("trip_output_current", "rated_current", "A"),
+        "trip_output_voltage_volts": ("trip_output_voltage", "rated_voltage", "V"),
+        "trip_input_voltage_volts": ("trip_input_voltage", "rated_voltage", "V"),
+    }
+
+
 def test_the_fast_group_of_the_profile_fits_the_block_selectors(mb1: Model) -> None:
     """Five values that selectors can carry, so one exchange reads them all."""
     fast, every = mb1.profile[0]
@@ -430,4 +587,3 @@ def test_every_entry_cites_the_manual(mb1: Model) -> None:
     """The source says which section an entry was written from, and the title what it is."""
     assert all(r.source.startswith("VF-MB1 RS485 ") for r in mb1.registers.values())
     assert all(r.title for r in mb1.registers.values())
-    assert len(mb1.derived) == 6

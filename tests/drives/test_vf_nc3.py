@@ -10,32 +10,32 @@ from gateway.drives.catalogue import load
 from gateway.drives.model import Model
 from gateway.drives.register import Kind, Storage
 
-# Section 8, "Commands": number, name, writes go to.
+# Section 8, "Commands": number, name, writes go to, lowest and highest (None: of FH, LL, UL) and initial raw value.
 COMMANDS = [
-    (0xFA00, "command", "ram"),
-    (0xFA01, "frequency_command", "ram"),
-    (0xFA03, "panel_frequency", "eeprom"),
-    (0xFA10, "panel_key_selection", "ram"),
-    (0xFA11, "external_keys", "ram"),
-    (0xFA20, "command_2", "ram"),
-    (0xFA50, "terminal_output", "ram"),
-    (0xFA51, "analog_output", "ram"),
-    (0xFA65, "led_selection", "eeprom"),
-    (0xFA66, "led_number", "eeprom"),
-    (0xFA67, "led_decimal_point", "eeprom"),
-    (0xFA68, "led_unit_0", "eeprom"),
-    (0xFA70, "led_text_1_digit_1", "eeprom"),
-    (0xFA71, "led_text_1_digit_2", "eeprom"),
-    (0xFA72, "led_text_1_digit_3", "eeprom"),
-    (0xFA73, "led_text_1_digit_4", "eeprom"),
-    (0xFA74, "led_unit_1", "eeprom"),
-    (0xFA75, "led_text_2_digit_1", "eeprom"),
-    (0xFA76, "led_text_2_digit_2", "eeprom"),
-    (0xFA77, "led_text_2_digit_3", "eeprom"),
-    (0xFA78, "led_text_2_digit_4", "eeprom"),
-    (0xFA79, "led_unit_2", "eeprom"),
-    (0xFA80, "block_mode", "eeprom"),
-    (0xFA87, "reset_detection", "ram"),
+    (0xFA00, "command", "ram", 0, 65535, 0),
+    (0xFA01, "frequency_command", "ram", None, None, 0),
+    (0xFA03, "panel_frequency", "eeprom", None, None, 0),
+    (0xFA10, "panel_key_selection", "ram", 0, 1, 0),
+    (0xFA11, "external_keys", "ram", 0, 65535, 0),
+    (0xFA20, "command_2", "ram", 0, 65535, 0),
+    (0xFA50, "terminal_output", "ram", 0, 255, 0),
+    (0xFA51, "analog_output", "ram", 0, 1000, 0),
+    (0xFA65, "led_selection", "eeprom", 0, 2, 1),
+    (0xFA66, "led_number", "eeprom", 0, 9999, 0),
+    (0xFA67, "led_decimal_point", "eeprom", 0, 2, 0),
+    (0xFA68, "led_unit_0", "eeprom", 0, 3, 0),
+    (0xFA70, "led_text_1_digit_1", "eeprom", 0, 127, ord("d")),
+    (0xFA71, "led_text_1_digit_2", "eeprom", 0, 255, ord("A")),
+    (0xFA72, "led_text_1_digit_3", "eeprom", 0, 255, ord("t")),
+    (0xFA73, "led_text_1_digit_4", "eeprom", 0, 127, ord("A")),
+    (0xFA74, "led_unit_1", "eeprom", 0, 3, 0),
+    (0xFA75, "led_text_2_digit_1", "eeprom", 0, 127, ord("0")),
+    (0xFA76, "led_text_2_digit_2", "eeprom", 0, 255, ord("0")),
+    (0xFA77, "led_text_2_digit_3", "eeprom", 0, 255, ord("0")),
+    (0xFA78, "led_text_2_digit_4", "eeprom", 0, 127, ord("0")),
+    (0xFA79, "led_unit_2", "eeprom", 0, 3, 0),
+    (0xFA80, "block_mode", "eeprom", 0, 1, 0),
+    (0xFA87, "reset_detection", "ram", 0, 255, 0),
 ]
 
 # Section 8, "Monitor parameters": current value, trip data held (0: none), name, unit of one count.
@@ -140,6 +140,9 @@ MENTIONED = {
     0x0738: "password",
 }
 
+# Section 7.3.2.
+KEYS = dict(enumerate(("run", "stop", "up", "down", "mode", "enter", "easy", "local_remote")))
+
 # Section 7.2: code in hexadecimal, as the panel shows it.
 TRIPS = (
     "0 nerr 1 oc1 2 oc2 3 oc3 4 ocl 5 oca 8 ephi 9 epho A op1 B op2 C op3 D ol1 E ol2 F olr 10 oh 11 e 12 eep1 "
@@ -169,7 +172,7 @@ def names_of_bits(model: Model, name: str) -> dict[int, str]:
 
 def test_every_number_of_the_manual_is_there_and_no_other(nc3: Model) -> None:
     """Compare all numbers and names with the tables typed from the manual."""
-    expected = {number: name for number, name, _ in COMMANDS} | MENTIONED
+    expected = {number: name for number, name, *_ in COMMANDS} | MENTIONED
     expected |= {number: name for number, name, *_ in COMMUNICATION}
     for number, held, name, _ in MONITORS:
         expected[number] = name
@@ -179,13 +182,14 @@ def test_every_number_of_the_manual_is_there_and_no_other(nc3: Model) -> None:
     assert len(expected) == 24 + 42 + 23 + 16 + 32
 
 
-@pytest.mark.parametrize(("number", "name", "storage"), COMMANDS)
+@pytest.mark.parametrize(("number", "name", "storage", "low", "high", "initial"), COMMANDS)
 def test_commands_are_writable_and_stored_as_the_manual_says(
-    nc3: Model, number: int, name: str, storage: str
+    nc3: Model, number: int, name: str, storage: str, low: int | None, high: int | None, initial: int
 ) -> None:
-    """Compare the EEPROM column; all commands may be written while running."""
+    """Compare range, initial value and the EEPROM column; all commands may be written while running."""
     register = nc3.registers[name]
     assert (register.address, register.storage.value) == (number, storage)
+    assert (register.minimum, register.maximum, register.initial) == (low, high, initial)
     assert (register.kind, register.is_writable, register.writable_while_running) == (Kind.COMMAND, True, True)
 
 
@@ -227,6 +231,95 @@ def test_the_command_bits_are_those_of_the_manual(nc3: Model) -> None:
     names = "preset_speed_1 preset_speed_2 preset_speed_3 preset_speed_4 motor_2 pid_off acceleration_2 "
     names += "dc_braking jog reverse run coast emergency_stop fault_reset frequency_priority command_priority"
     assert names_of_bits(nc3, "command") == dict(enumerate(names.split()))
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "low", "high", "initial"),
+    [
+        ("automatic_acceleration", "", 0, 2, 0),
+        ("acceleration_time_1", "0.1s", 0, 30000, 100),
+        ("deceleration_time_1", "0.1s", None, None, 0),
+        ("frequency_mode_selection", "", None, None, 0),
+        ("input_function_1", "", None, None, 0),
+        ("output_function_1", "", None, None, 0),
+        ("standard_monitor", "", None, None, 0),
+    ],
+)
+def test_other_writable_parameters_have_what_the_manual_states(
+    nc3: Model, name: str, unit: str, low: int | None, high: int | None, initial: int
+) -> None:
+    """Range, unit and initial value are there only where the manual states them."""
+    register = nc3.registers[name]
+    shown = f"{register.scaling.scale}{register.unit}" if register.unit else ""
+    assert (shown, register.minimum, register.maximum, register.initial) == (unit, low, high, initial)
+    assert (register.kind, register.storage) == (Kind.PARAMETER, Storage.EEPROM)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("communication_timeout", "0.1s"),
+        ("communication_wait_time", "0.01s"),
+        ("analog_output", "0.1%"),
+        ("frequency_command", "0.01Hz"),
+        ("panel_frequency", "0.01Hz"),
+    ],
+)
+def test_what_is_written_is_in_the_unit_of_the_table(nc3: Model, name: str, unit: str) -> None:
+    """Compare the unit columns of commands and communication parameters."""
+    register = nc3.registers[name]
+    assert f"{register.scaling.scale}{register.unit}" == unit
+
+
+@pytest.mark.parametrize(
+    ("name", "bits"),
+    [
+        ("command_2", {7: "maximum_deceleration_stop", 12: "oc_stall_2"}),
+        ("terminal_output", {0: "data_output_1"}),
+        ("status_2", {7: "maximum_deceleration_stop", 8: "acceleration_2", 12: "oc_stall_2"}),
+        (
+            "status_3",
+            {
+                10: "constant_speed",
+                11: "healthy",
+                12: "speed_reached",
+                13: "specified_speed_reached",
+                14: "accelerating",
+                15: "decelerating",
+            },
+        ),
+        (
+            "alarm",
+            {
+                0: "overcurrent",
+                1: "inverter_overload",
+                2: "motor_overload",
+                3: "overheat",
+                4: "overvoltage",
+                5: "undervoltage",
+                6: "device_overheat",
+                7: "low_current",
+                10: "operation_time",
+                13: "moff",
+                14: "blackout_deceleration",
+                15: "lower_limit_stop",
+            },
+        ),
+        ("alarm_2", {2: "life_time", 3: "over_torque", 4: "overload_stall", 7: "upper_limit_frequency"}),
+        (
+            "replacement_alarm",
+            {0: "fan_life", 1: "circuit_board_life", 2: "main_capacitor_life", 3: "operation_time"},
+        ),
+        ("input_terminals", {0: "f", 1: "r", 2: "s1", 3: "s2", 4: "vi"}),
+        ("output_terminals", {0: "out", 2: "fl"}),
+        ("panel_keys", {0: "run", 1: "stop", 2: "up", 3: "down", 4: "mode", 5: "enter", 6: "easy"}),
+        ("external_keys", KEYS),
+        ("key_state", KEYS | {15: "keys_normal"}),
+    ],
+)
+def test_bits_have_the_names_of_the_manuals_table(nc3: Model, name: str, bits: dict[int, str]) -> None:
+    """Compare the tables of E6581657 7.1-7.3, bit by bit."""
+    assert dict(nc3.registers[name].bits) == bits
 
 
 @pytest.mark.hazard("H20")
@@ -294,6 +387,8 @@ def test_modes_and_parameters_have_the_codes_of_the_manual(nc3: Model) -> None:
         "timeout_detection": [0, 1, 2],
         "baud_rate": [3, 4, 5],
         "frequency_mode_selection": [3],
+        "input_function_1": [0, 20, 21, 48, 49],
+        "output_function_3": [10, 92, 93],
     }
     for name, numbers in expected.items():
         enumeration = codes[name]
