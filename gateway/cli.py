@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import sys
-from enum import Enum
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -35,7 +35,7 @@ app = typer.Typer(
 ConfigFile = Annotated[Path, typer.Argument(metavar="FILE", help="configuration file (TOML)")]
 
 
-class MapFormat(str, Enum):
+class MapFormat(StrEnum):
     """How the register map is printed."""
 
     MD = "md"
@@ -155,7 +155,7 @@ def registers(
 @app.command()
 def simulate(
     file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="the simulated line (TOML)")] = None,
-    drive: Annotated[list[str] | None, typer.Option(help="NUMBER:MODEL, again for each drive, instead of a file")] = None,
+    drive: Annotated[list[str] | None, typer.Option(help="NUMBER:MODEL, once for each drive")] = None,
     baud: Annotated[int, typer.Option(help="9600, 19200 or 38400, with --drive")] = 19200,
     link: Annotated[Path | None, typer.Option(help="a symbolic link to the port, kept while the line runs")] = None,
     control: Annotated[Path | None, typer.Option(help="a socket for faults and statistics")] = None,

@@ -1,0 +1,154 @@
+"""The schedule: deadlines, grids, fair shares, and what silent drives may cost."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.bus.schedule import Job, NotBefore, Schedule, Send, spread
+
+
+def schedule(share: float = 0.05) -> Schedule[str]:
+    """Return an empty schedule with the default times."""
+    return Schedule(silent_share=share, probe_every=1.0, probe_at_most=5.0)
+
+
+def periodic(drive: str, period: float, due: float = 0.0, work: str = "") -> Job[str]:
+    """Return a job with a period."""
+    return Job(drive, work or drive, period, due, due + period)
+
+
+def test_nothing_planned_is_nothing_to_do() -> None:
+    """An empty schedule has no next time."""
+    assert schedule().next(0.0) is None
+
+
+def test_the_earliest_deadline_goes_first_and_the_future_waits() -> None:
+    """Due jobs by deadline; nothing due: the time of the next."""
+    plan = schedule()
+    late, soon = periodic("a", 10.0), periodic("b", 0.1)
+    plan.set_jobs("a", [late])
+    plan.set_jobs("b", [soon])
+    assert plan.next(0.0) == Send(soon)
+    plan.done(soon, 0.02)
+    assert plan.next(0.02) == Send(late)
+    plan.done(late, 0.04)
+    assert plan.next(0.04) == NotBefore(pytest.approx(0.1))
+
+
+def test_a_job_stays_on_its_grid_and_skips_what_it_missed() -> None:
+    """Late by more than a period: the next slot of the grid, not a burst."""
+    plan = schedule()
+    job = periodic("a", 0.1)
+    plan.set_jobs("a", [job])
+    plan.done(job, 0.35)
+    assert job.due == pytest.approx(0.4)
+    assert job.deadline == pytest.approx(0.5)
+
+
+def test_a_job_without_period_runs_once() -> None:
+    """Then it is gone."""
+    plan = schedule()
+    job = Job("a", "once", None, 0.0, 0.0)
+    plan.set_jobs("a", [job])
+    assert plan.next(0.0) == Send(job)
+    plan.done(job, 0.0)
+    assert plan.next(0.0) is None
+
+
+def test_equal_periods_are_spread_evenly() -> None:
+    """Four jobs of one second stand a quarter apart."""
+    assert spread(4, 1.0) == [0.0, 0.25, 0.5, 0.75]
+
+
+def run(
+    plan: Schedule[str], seconds: float, dead: set[str], cost: float = 0.025, silence: float = 0.06
+) -> dict[str, float]:
+    """Run a schedule in a fast model and count the seconds of line that each drive took."""
+    spent: dict[str, float] = defaultdict(float)
+    now = 0.0
+    while now < seconds:
+        step = plan.next(now)
+        if isinstance(step, NotBefore):
+            now = step.when
+            continue
+        assert isinstance(step, Send)
+        job, begun = step.job, now
+        if job.drive in dead:
+            now += silence
+            spent[job.drive] += silence
+            plan.in_vain(job, begun, now)
+        else:
+            now += cost
+            spent[job.drive] += cost
+            plan.done(job, now)
+    return spent
+
+
+@given(st.integers(1, 7))
+def test_silent_drives_cost_their_share_whatever_their_number(dead: int) -> None:
+    """The working drive keeps more than nine tenths of the line."""
+    plan = schedule()
+    names = {f"dead-{i}" for i in range(dead)}
+    for name in names:
+        plan.probe(name, name, 0.0)
+    plan.set_jobs("alive", [periodic("alive", 0.0)])
+    spent = run(plan, 60.0, names)
+    assert spent["alive"] > 0.9 * 60
+    assert sum(spent[name] for name in names) <= 0.05 * 60 + 0.06
+    assert all(spent[name] > 0 for name in names)
+
+
+def test_probing_backs_off_up_to_its_limit() -> None:
+    """1, 2, 4, 5, 5 ... seconds on an otherwise idle line."""
+    plan = schedule(share=1.0)
+    plan.probe("a", "who", 0.0)
+    now, times = 0.0, []
+    for _ in range(6):
+        step = plan.next(now)
+        assert isinstance(step, Send)
+        times.append(now)
+        plan.in_vain(step.job, now, now)
+        waiting = plan.next(now)
+        assert isinstance(waiting, NotBefore)
+        now = waiting.when
+    assert [b - a for a, b in pairwise(times)] == [1.0, 2.0, 4.0, 5.0, 5.0]
+
+
+def test_a_drive_that_answers_is_no_longer_probed() -> None:
+    """set_jobs ends the probing."""
+    plan = schedule()
+    plan.probe("a", "who", 0.0)
+    assert plan.is_probed("a")
+    plan.set_jobs("a", [])
+    assert not plan.is_probed("a")
+
+
+@given(
+    st.lists(st.sampled_from([0.0, 0.05, 0.1, 0.5, 1.0, 10.0]), min_size=1, max_size=12),
+    st.floats(0.005, 0.08),
+)
+def test_no_job_starves_even_on_an_overfull_line(periods: list[float], cost: float) -> None:
+    """Between two runs of a job lie two of its periods and one round of all jobs at the most."""
+    plan = schedule()
+    plan.turn = cost * len(periods)
+    for index, period in enumerate(periods):
+        plan.set_jobs(f"d{index}", [periodic(f"d{index}", period)])
+    last = dict.fromkeys((f"d{index}" for index in range(len(periods))), 0.0)
+    now = 0.0
+    while now < 40.0:
+        step = plan.next(now)
+        if isinstance(step, NotBefore):
+            now = step.when
+            continue
+        assert isinstance(step, Send)
+        now += cost
+        plan.done(step.job, now)
+        last[step.job.drive] = now
+        for index, period in enumerate(periods):
+            most = 2 * max(period, plan.turn) + (len(periods) + 1) * cost
+            assert now - last[f"d{index}"] <= most
