@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from gateway import __version__, check, logs, site
+from gateway import demo as demonstration
 from gateway.app import App, CoreTaskEnded
 from gateway.config import Config
 from gateway.drives import catalogue
@@ -170,8 +171,11 @@ def simulate(
 
 
 @app.command()
-def demo() -> None:
+def demo(
+    mqtt_port: Annotated[int, typer.Option(help="port of the demonstration's broker")] = 1883,
+    modbus_tcp_port: Annotated[int, typer.Option(help="port of the MODBUS-TCP server")] = 5020,
+    web_port: Annotated[int, typer.Option(help="port of /healthz and /metrics")] = 8080,
+    seconds: Annotated[float | None, typer.Option(help="end by itself after that time")] = None,
+) -> None:
     """Show the main job without hardware: simulated drives, a broker, the gateway, and a live view."""
-    from gateway import demo as demonstration  # needs the extra "demo"
-
-    demonstration.run()
+    demonstration.run(demonstration.Ports(mqtt_port, modbus_tcp_port, web_port), seconds)
