@@ -245,7 +245,13 @@ def _explain(item: Mapping[str, Any], table: Mapping[str, Any]) -> str:
     if item["type"] == "missing":
         return f"{key}{names}: is missing"
     reason = item["msg"].removeprefix("Value error, ")
-    return f"{key}{names}: {reason} (given: {item['input']!r:.60})"
+    return f"{key}{names}: {reason}{_given(keys, item['input'])}"
+
+
+def _given(keys: list[Any], value: object) -> str:
+    """Repeat a short value, but none that may hold a secret."""
+    is_secret = "password" in keys or "user" in keys or "@" in str(value)
+    return "" if is_secret or isinstance(value, dict | list) else f" (given: {value!r:.60})"
 
 def _names_on_the_way(keys: list[Any], table: Any) -> Iterator[str]:
     """Yield the `name` of every list entry on the way to the key, so that [[line.drive]] 7 is found."""

@@ -182,7 +182,7 @@ def _unknown_values(label: str, drive: DriveSection, model: Model) -> Iterator[s
 def _line(section: LineSection, models: Catalogue) -> Line:
     is_network = section.port.startswith("socket://")
     timing = LineTiming(section.baud)
-    cycle = sum(_once_through(drive, models[drive.model], timing) for drive in section.drive)
+    pace = _pace(section, models, timing)
     return Line(
         name=section.name,
         port=section.port,
@@ -192,14 +192,35 @@ def _line(section: LineSection, models: Catalogue) -> Line:
         silent_share=section.silent_share,
         probe_every=section.probe_every,
         probe_at_most=section.probe_at_most,
-        drives=tuple(_drive(section.name, drive, models[drive.model], cycle) for drive in section.drive),
+        drives=tuple(_drive(section.name, drive, models[drive.model], pace) for drive in section.drive),
     )
 
 
-def _once_through(section: DriveSection, model: Model, timing: LineTiming) -> float:
-    """Return how long reading every value of a drive once takes at the worst, in single reads."""
-    values = {name for poll in _polls(section, model) for name in poll.values}
-    return len(values) * timing.exchange(*SINGLE_READ, model.times.processing + section.wait_time)
+@dataclass(frozen=True, slots=True)
+class _Pace:
+    """How fast a line can be read at the worst, in single reads: what each period comes out as.
+
+    `stretch` is by how much the timed polls ask too much of it (1: they fit); `round` is how long one turn of
+    the polls without a period takes in what the timed ones leave, in seconds.
+    """
+
+    stretch: float
+    round: float
+
+
+LEAST_REST = 0.1  # share of the line that polls without a period are reckoned to get at the least
+
+
+def _pace(section: LineSection, models: Catalogue, timing: LineTiming) -> _Pace:
+    load = turn = 0.0
+    for drive in section.drive:
+        single = timing.exchange(*SINGLE_READ, models[drive.model].times.processing + drive.wait_time)
+        for poll in _polls(drive, models[drive.model]):
+            if poll.every:
+                load += len(poll.values) * single / poll.every
+            else:
+                turn += len(poll.values) * single
+    return _Pace(max(1.0, load), turn / max(LEAST_REST, 1 - load))
 
 
 def _polls(section: DriveSection, model: Model) -> list[PollSection]:
@@ -207,9 +228,9 @@ def _polls(section: DriveSection, model: Model) -> list[PollSection]:
     return section.poll or [PollSection.model_validate(poll) for poll in profile]
 
 
-def _drive(line: str, section: DriveSection, model: Model, cycle: float) -> Drive:
+def _drive(line: str, section: DriveSection, model: Model, pace: _Pace) -> Drive:
     asked = _polls(section, model)
-    groups = tuple(_group(poll, model, cycle) for poll in asked)
+    groups = tuple(_group(poll, model, pace) for poll in asked)
     points: dict[str, Point] = {}
     for group in groups:
         for register in group.registers:
@@ -231,9 +252,10 @@ def _drive(line: str, section: DriveSection, model: Model, cycle: float) -> Driv
     )
 
 
-def _group(poll: PollSection, model: Model, cycle: float) -> PollGroup:
+def _group(poll: PollSection, model: Model, pace: _Pace) -> PollGroup:
     """Resolve a poll group; a derived value stands for the register that it is computed from."""
     sources = {d.name: d.of for d in model.derived}
     names = dict.fromkeys(sources.get(name, name) for name in poll.values)
-    max_age = poll.max_age or max(MAX_AGE_PERIODS * max(poll.every, cycle), LEAST_MAX_AGE)
+    reachable = poll.every * pace.stretch or pace.round
+    max_age = poll.max_age or max(MAX_AGE_PERIODS * reachable, LEAST_MAX_AGE)
     return PollGroup(tuple(model.registers[name] for name in names), poll.every, max_age)

@@ -90,12 +90,13 @@ class Planner:
 
         Each length of the indirect block is tried with the best direct blocks and singles for the rest.
         """
-        candidates = [self._direct(wanted, able)]
+        candidates = []
         for block in self._indirect_blocks(able):
             brought = {register.name for register in block.registers}
             rest = [register for register in wanted if register.name not in brought]
             if len(rest) < len(wanted):
                 candidates.append((block, *self._direct(rest, able)))
+        candidates.append(self._direct(wanted, able))  # last: of equal plans the block, which no drive disputes
         return min(candidates, key=self.time)
 
     def _indirect_blocks(self, able: Abilities) -> Iterable[PlannedRead]:
