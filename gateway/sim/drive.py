@@ -1,0 +1,96 @@
+"""A simulated drive as the line meets it: requests in, answers out, and what can be done to it by hand."""
+
+from __future__ import annotations
+
+from random import Random
+
+from gateway.drives.model import Model
+from gateway.sim import modbus
+from gateway.sim.access import RegisterAccess
+from gateway.sim.inverter import Inverter
+from gateway.sim.options import MODBUS_RTU, DriveOptions
+
+BAUD_CODES = {9600: 3, 19200: 4, 38400: 5}  # F800
+PARITY_CODES = {"none": 0, "even": 1, "odd": 2}  # F801
+
+
+class SimulatedDrive:
+    """One drive on a line; it knows no clock, each call says what time it is."""
+
+    def __init__(self, model: Model, options: DriveOptions, rng: Random, now: float = 0.0) -> None:
+        self.inverter = Inverter(model, options, rng, now)
+        self.registers = RegisterAccess(self.inverter)
+        self.acknowledged: float | None = None  # when the last message was
+
+    @property
+    def number(self) -> int:
+        """Return the inverter number F802, which acts at once."""
+        return self.inverter.memory.word(self.inverter.role("number"), self.inverter.options.number)
+
+    @property
+    def model(self) -> Model:
+        """Return the drive's model."""
+        return self.inverter.model
+
+    def hears(self, baud: int, parity: str) -> bool:
+        """Say whether its line settings in force, if it has any, are those of the line."""
+        inverter, baud_code, parity_code = self.inverter, BAUD_CODES[baud], PARITY_CODES[parity]
+        return (
+            inverter.memory.word_in_force(inverter.role("baud_rate"), baud_code) == baud_code
+            and inverter.memory.word_in_force(inverter.role("parity"), parity_code) == parity_code
+        )
+
+    def tick(self, now: float) -> None:
+        """Let time pass until now."""
+        self.inverter.tick(now)
+
+    def handle(self, frame: bytes, now: float) -> tuple[bytes | None, float]:
+        """Take a frame whose end was recognised now; return the answer, or None, and the seconds until it begins."""
+        self.tick(now)
+        if now < self.inverter.deaf_until or self._protocol != MODBUS_RTU:
+            return None, 0.0
+        self.registers.begin()
+        answer = modbus.answer(frame, self.number, self.registers)
+        if self.registers.was_reset:  # FA00 bit 13 returns no data (E6581657 7.1)
+            return None, 0.0
+        if answer is not None:
+            self._acknowledge(now)
+        return answer, self._answer_time()
+
+    def _acknowledge(self, now: float) -> None:
+        """Start the timer of F803, but by the message after the one that set it (6.3)."""
+        self.acknowledged = now
+        if not self.registers.set_timer:
+            self.inverter.acknowledge(now)
+
+    @property
+    def _protocol(self) -> int:
+        """Return F829 in force; a model whose codes are not known is taken to speak MODBUS-RTU."""
+        memory, name = self.inverter.memory, self.inverter.role("protocol")
+        if not memory.has(name) or not memory.named(name).is_writable:
+            return MODBUS_RTU
+        return memory.word_in_force(name)
+
+    def _answer_time(self) -> float:
+        """Return the processing time, or F805 where that is longer (6.5)."""
+        options = self.inverter.options
+        own = options.processing
+        if self.registers.wore_eeprom:
+            own = self.model.times.eeprom if options.eeprom is None else options.eeprom
+        return max(own, self.inverter.memory.word(self.inverter.role("wait_time")) / 100)
+
+    # -- at the drive itself --------------------------------------------------------------------------------
+
+    def set_by_panel(self, name: str, word: int) -> None:
+        """Set a register by name at the panel; KeyError where the model has none."""
+        self.inverter.memory.set_by_panel(name, word)
+        if name == self.inverter.role("timeout"):
+            self.inverter.set_timer()
+
+    def force(self, name: str, word: int | None) -> None:
+        """Make a register read that word, whatever is true; None ends it. KeyError where the model has none."""
+        address = self.inverter.memory.named(name).address
+        if word is None:
+            self.registers.forced.pop(address, None)
+        else:
+            self.registers.forced[address] = word & 0xFFFF
