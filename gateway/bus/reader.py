@@ -74,14 +74,18 @@ class DriveReader:
         self._singles: dict[str, int] = {}
         self._audit: selectors.Audit | None = None
         self._tries = 0
+        self._knows_identification = False
 
     # ---- who is there
 
     def identify(self) -> Work:
-        """Return the question who is there; every third time a plain read, for drives that know no 2BH."""
+        """Return the question who is there; every third time a plain read, for drives that know no 2BH.
+
+        A drive that has answered 2BH, rightly or as a stranger, is asked nothing else.
+        """
         self._tries += 1
         status = self.drive.model.registers.get("status")
-        if self._tries % 3 == 0 and self.identity is None and status is not None:
+        if self._tries % 3 == 0 and not self._knows_identification and status is not None:
             return Work(Task.IDENTIFY, ReadWords(self.drive.number, status.address))
         return Work(Task.IDENTIFY, Identify(self.drive.number))
 
@@ -106,6 +110,7 @@ class DriveReader:
         return Learnt()
 
     def _identified(self, identity: Identity, now: float) -> Learnt:
+        self._knows_identification = True
         expected = self.drive.model.identity
         if expected and not identity.device.startswith(expected):
             self.is_set_up = False
@@ -121,6 +126,8 @@ class DriveReader:
         if self.able.mapping is not None:
             self._candidates = [self.able.mapping]
         self.is_set_up = False
+        self._knows_identification = False
+        self._tries = 0
         self.identity = None
         self.able = Abilities()
         self.absent.clear()

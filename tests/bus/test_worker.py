@@ -1,0 +1,305 @@
+"""The line worker against simulated drives in virtual time: reading, faults, silence, replugging."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway import site
+from gateway.bus.line import Line
+from gateway.bus.worker import LineWorker
+from gateway.clock import Clock
+from gateway.errors import LineDown
+from gateway.image import Image, LinkState, Quality
+from gateway.metrics import DriveStats, LineStats
+from gateway.sim import settings
+from gateway.sim.faults import Fault, Kind
+from gateway.sim.settings import SimulatedLineConfig
+from gateway.sim.twin import TwinLine
+from gateway.sim.wire import Wire
+from tests import virtual
+
+FIVE = ["status", "output_frequency", "output_current", "output_voltage", "alarm"]
+SELECTED = [1, 2, 3, 4, 5]
+
+
+@dataclass
+class Bench:
+    """One gateway line and the simulated line behind it."""
+
+    site: site.Site
+    wire: Wire
+    image: Image
+    line_stats: LineStats = field(default_factory=LineStats)
+    drive_stats: dict[str, DriveStats] = field(default_factory=dict)
+    twins: list[TwinLine] = field(default_factory=list)
+    is_plugged: bool = True
+    applied: list[tuple[str, tuple[str, ...], float]] = field(default_factory=list)
+
+    async def open(self, line: site.Line, clock: Clock) -> Line:
+        """Open the simulated port."""
+        if not self.is_plugged:
+            raise LineDown("no such device")
+        self.twins.append(TwinLine(self.wire, line.timing, clock))
+        return self.twins[-1]
+
+    def unplug(self) -> None:
+        """Pull the adapter out."""
+        self.is_plugged = False
+        self.twins[-1].unplug()
+
+    def value(self, drive: str, name: str) -> str:
+        """Return a value as text, or its quality where it is not good."""
+        image = self.image.by_name[drive]
+        sample = image.sample(name, asyncio.get_running_loop().time())
+        return image.show(name, sample.word) if sample.quality is Quality.GOOD else sample.quality.word
+
+    def link(self, drive: str) -> LinkState:
+        """Return the link state of a drive."""
+        return self.image.by_name[drive].link
+
+
+def bench(
+    simulated: list[dict[str, Any]], polls: Any = None, line: dict[str, Any] | None = None, **sim: Any
+) -> Bench:
+    """Build a line of drives d1, d2 ... and their simulation; to be called in the running loop."""
+    drives = [
+        {
+            "name": f"d{entry['number']}",
+            "number": entry["number"],
+            "model": entry.get("configured", entry["model"]),
+            "poll": polls or [{"values": FIVE, "every": "100ms"}],
+        }
+        for entry in simulated
+    ]
+    lines = [{"name": "a", "port": "/dev/null", "drive": drives, **(line or {})}]
+    built = site.build({"gateway": {"name": "t"}, "line": lines}, "test", Path())
+    entries = [{key: word for key, word in entry.items() if key != "configured"} for entry in simulated]
+    config = SimulatedLineConfig.model_validate({"drive": entries, **sim})
+    wire = settings.build(config, asyncio.get_running_loop().time())
+    made = Bench(built, wire, Image(built.drives))
+    made.drive_stats = {drive.name: DriveStats() for drive in built.drives}
+    made.image.subscribe(
+        lambda image, names: made.applied.append(
+            (image.drive.name, tuple(names), asyncio.get_running_loop().time())
+        )
+    )
+    return made
+
+
+def run(made: Callable[[], Bench], play: Callable[[Bench], Awaitable[None]]) -> None:
+    """Run the worker while the play lasts."""
+
+    async def main() -> None:
+        stage = made()
+        line = stage.site.lines[0]
+        worker = LineWorker(
+            line, stage.image.by_name, stage.line_stats, stage.drive_stats, virtual.VirtualClock(), stage.open
+        )
+        task = asyncio.create_task(worker.run())
+        try:
+            await play(stage)
+            assert not task.done() or task.exception() is None
+            assert stage.wire.statistics.gap_violations == 0
+        finally:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+
+    virtual.run(main())
+
+
+def nc3(number: int = 1, **more: Any) -> dict[str, Any]:
+    """Return a simulated VF-nC3, its selectors set."""
+    return {"number": number, "model": "vf-nc3", "block_read": SELECTED, **more}
+
+
+
+
+def test_a_drive_is_identified_and_read_by_the_block() -> None:
+    """Online within a second; amperes and volts from FE70 and FE71; one exchange brings all five."""
+
+    async def play(stage: Bench) -> None:
+        await asyncio.sleep(2.0)
+        assert stage.link("d1") is LinkState.ONLINE
+        image = stage.image.by_name["d1"]
+        assert image.identity["device"].startswith("VFnC3")
+        assert stage.value("d1", "output_frequency") == "50.00"
+        assert float(stage.value("d1", "output_current_amps")) > 0
+        status = int(stage.value("d1", "status"))
+        assert status & 0x400
+        assert not status & 0x8000
+        answers = [names for drive, names, _ in stage.applied if len(names) >= 5]
+        assert set(FIVE) <= set(answers[-1])
+
+    run(lambda: bench([nc3(running_at=50.0)]), play)
+
+
+def test_a_drive_as_shipped_is_read_without_the_block() -> None:
+    """All selectors 0: direct blocks or single reads, the same values."""
+
+    async def play(stage: Bench) -> None:
+        await asyncio.sleep(3.0)
+        assert stage.value("d1", "output_frequency") == "40.00"
+        assert stage.value("d1", "output_voltage") not in ("never_read", "stale")
+
+    run(lambda: bench([{"number": 1, "model": "vf-nc3", "running_at": 40.0}]), play)
+
+
+@pytest.mark.parametrize("accepts", [True, False])
+def test_drives_of_either_reading_of_direct_blocks_are_served(accepts: bool) -> None:
+    """Where FD00 with two words is refused with error 03, and where it is not."""
+
+    async def play(stage: Bench) -> None:
+        await asyncio.sleep(3.0)
+        assert all(stage.value("d1", name) not in ("never_read", "stale") for name in FIVE)
+        assert stage.drive_stats["d1"].refusals < 8
+
+    run(lambda: bench([{"number": 1, "model": "vf-nc3", "direct_blocks": accepts}]), play)
+
+
+def test_selectors_in_any_order_are_mapped_as_set() -> None:
+    """Words follow F875-F879, not their usual order; 0 is skipped."""
+
+    async def play(stage: Bench) -> None:
+        await asyncio.sleep(3.0)
+        assert stage.value("d1", "output_frequency") == "30.00"
+        assert 0 < float(stage.value("d1", "output_voltage")) <= 100
+        assert int(stage.value("d1", "status")) & 0x400
+
+    run(lambda: bench([nc3(block_read=[4, 0, 2, 1, 9], running_at=30.0)]), play)
+
+
+def test_a_selector_changed_and_not_yet_in_force_does_not_mix_up_values() -> None:
+    """The parameter reads back new at once; the block carries the old until a reset, and then the new."""
+
+    async def play(stage: Bench) -> None:
+        drive = stage.wire.drives[0]
+        drive.set_by_panel("block_read_1", 2)
+        drive.set_by_panel("block_read_2", 1)
+        await asyncio.sleep(3.0)
+        assert stage.value("d1", "output_frequency") == "50.00"
+        assert int(stage.value("d1", "status")) & 0x400
+        drive.inverter.reset(asyncio.get_running_loop().time(), off=0.0)
+        await asyncio.sleep(10.0)
+        assert stage.link("d1") is LinkState.ONLINE
+        status = int(stage.value("d1", "status"))
+        assert status & ~0x7FFF == 0
+        assert float(stage.value("d1", "output_frequency")) <= 50.0
+
+    run(lambda: bench([nc3(running_at=50.0)]), play)
+
+
+def test_several_groups_keep_their_own_periods() -> None:
+    """100 ms, 1 s, and nothing of one in the other's time."""
+
+    async def play(stage: Bench) -> None:
+        await asyncio.sleep(3.0)
+        stage.applied.clear()
+        await asyncio.sleep(10.0)
+        fast = [t for _, names, t in stage.applied if "output_frequency" in names]
+        slow = [t for _, names, t in stage.applied if "trip_code" in names]
+        assert len(fast) == pytest.approx(100, abs=6)
+        assert len(slow) == pytest.approx(10, abs=1)
+
+    polls = [{"values": FIVE, "every": "100ms"}, {"values": ["trip_code"], "every": "1s"}]
+    run(lambda: bench([nc3()], polls), play)
+
+
+def test_a_silent_drive_goes_offline_and_the_others_keep_their_rate() -> None:
+    """H19: offline, not the old number; seven tenths silent or one, the neighbour is read as before."""
+
+    async def play(stage: Bench) -> None:
+        await asyncio.sleep(2.0)
+        stage.wire.faults.add(Fault(Kind.CUT, 2))
+        await asyncio.sleep(2.0)
+        assert stage.link("d2") is LinkState.OFFLINE
+        assert stage.value("d2", "output_frequency") == "offline"
+        stage.applied.clear()
+        await asyncio.sleep(20.0)
+        assert len([1 for drive, names, _ in stage.applied if drive == "d1" and names]) >= 0.9 * 200
+
+    run(lambda: bench([nc3(1), nc3(2)]), play)
+
+
+@pytest.mark.hazard("H07")
+def test_another_model_under_the_number_is_not_believed() -> None:
+    """A VF-MB1 where a VF-nC3 is configured."""
+
+    async def play(stage: Bench) -> None:
+        await asyncio.sleep(3.0)
+        assert stage.link("d1") is LinkState.STRANGER
+        assert "VFMB1" in stage.image.by_name["d1"].reason
+        assert stage.value("d1", "status") == "never_read"
+
+    run(lambda: bench([{"number": 1, "model": "vf-mb1", "configured": "vf-nc3"}]), play)
+
+
+@pytest.mark.hazard("H14")
+def test_the_adapter_may_be_unplugged_and_plugged_again() -> None:
+    """Every value offline at once, line down; afterwards read anew, and identified first."""
+
+    async def play(stage: Bench) -> None:
+        await asyncio.sleep(2.0)
+        stage.unplug()
+        await asyncio.sleep(0.5)
+        assert stage.link("d1") is LinkState.LINE_DOWN
+        assert stage.value("d1", "status") == "offline"
+        assert not stage.line_stats.is_up
+        stage.is_plugged = True
+        await asyncio.sleep(12.0)
+        assert stage.link("d1") is LinkState.ONLINE
+        assert stage.value("d1", "status").isdigit()
+        assert stage.line_stats.opened == 2
+
+    run(lambda: bench([nc3()]), play)
+
+
+KINDS = [Kind.DROP, Kind.LATE, Kind.TRUNCATE, Kind.FLIP, Kind.ECHO, Kind.DUPLICATE, Kind.BABBLE]
+VALUE = {Kind.LATE: 0.08, Kind.TRUNCATE: 4.0, Kind.FLIP: 3.0}
+
+
+@pytest.mark.hazard("H16")
+@pytest.mark.hazard("H17")
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.value)
+@pytest.mark.parametrize("seed", range(5))
+def test_no_fault_of_the_line_gives_a_wrong_value(kind: Kind, seed: int) -> None:
+    """One exchange in five disturbed for a minute: what is read as good is right."""
+
+    async def play(stage: Bench) -> None:
+        wrong: list[tuple[str, str]] = []
+
+        def look(image: Any, names: Any) -> None:
+            for name in names:
+                if name == "output_frequency" and stage.value(image.drive.name, name) not in right[image.drive.name]:
+                    wrong.append((image.drive.name, stage.value(image.drive.name, name)))
+
+        right = {"d1": ("50.00", "offline", "stale"), "d2": ("25.00", "offline", "stale")}
+        await asyncio.sleep(2.0)
+        stage.image.subscribe(look)
+        stage.wire.faults.add(Fault(kind, None, VALUE.get(kind), 0.2))
+        await asyncio.sleep(60.0)
+        assert wrong == []
+        assert stage.line_stats.exchanges > 500
+
+    polls = [{"values": ["output_frequency", "status"], "every": "50ms"}, {"values": ["trip_code"], "every": "200ms"}]
+    run(lambda: bench([nc3(1, running_at=50.0), nc3(2, running_at=25.0)], polls, seed=seed), play)
+
+
+def test_a_drive_that_returns_is_read_again_soon() -> None:
+    """Within one interval of tries."""
+
+    async def play(stage: Bench) -> None:
+        await asyncio.sleep(2.0)
+        drive = stage.wire.drives[0]
+        drive.inverter.reset(asyncio.get_running_loop().time(), off=0.0)
+        await asyncio.sleep(0.8)
+        assert stage.link("d1") is LinkState.OFFLINE
+        await asyncio.sleep(8.0)
+        assert stage.link("d1") is LinkState.ONLINE
+
+    run(lambda: bench([nc3()]), play)
