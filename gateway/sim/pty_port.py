@@ -1,0 +1,73 @@
+"""The pseudo-terminal that stands for a serial adapter: it can be opened by any program, pulled out and put back."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pty
+import tty
+from pathlib import Path
+
+READ_SIZE = 4096
+
+
+class PtyPort:
+    """The adapter's side of a pty. It keeps the other side open too, so that no master on it is no error."""
+
+    def __init__(self, link: Path | None = None) -> None:
+        self._link = link
+        self._own: int | None = None
+        self._others: int | None = None
+        self.name = ""
+        self.plug()
+
+    @property
+    def descriptor(self) -> int | None:
+        """Return what to wait on; None while it is unplugged."""
+        return self._own
+
+    def plug(self) -> None:
+        """Open a pty with nothing between the bytes and the reader, and point the link at it."""
+        if self._own is not None:
+            return
+        self._own, self._others = pty.openpty()
+        tty.setraw(self._others)
+        os.set_blocking(self._own, False)
+        self.name = os.ttyname(self._others)
+        if self._link is not None:
+            self._point(self._link)
+
+    def _point(self, link: Path) -> None:
+        """Set the link in one step: whoever opens it finds the old port or the new one."""
+        fresh = link.with_name(f".{link.name}.{os.getpid()}")
+        with contextlib.suppress(FileNotFoundError):
+            fresh.unlink()
+        fresh.symlink_to(self.name)
+        if link.exists() and not link.is_symlink():
+            fresh.unlink()
+            raise FileExistsError(f"{link} exists and is no link")
+        fresh.replace(link)
+
+    def unplug(self) -> None:
+        """Pull the adapter out: whoever has the port open gets errors, as with real hardware."""
+        for descriptor in (self._own, self._others):
+            if descriptor is not None:
+                os.close(descriptor)
+        self._own = self._others = None
+        if self._link is not None and self._link.is_symlink() and str(self._link.readlink()) == self.name:
+            self._link.unlink()
+
+    def read(self) -> bytes:
+        """Return what the master wrote, b"" for nothing."""
+        if self._own is None:
+            return b""
+        try:
+            return os.read(self._own, READ_SIZE)
+        except BlockingIOError:
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """Hand bytes to the master; where nobody reads, what does not fit is lost, as on a line."""
+        if self._own is not None:
+            with contextlib.suppress(BlockingIOError):
+                os.write(self._own, data)
