@@ -41,6 +41,7 @@ class Inverter:
             version=options.version,
             time=now,
         )
+        self._operation: tuple[tuple[object, ...], Operation] | None = None
         self.timer = CommunicationTimer()
         self.set_timer()
         self._held: dict[str, int] = {}
@@ -52,8 +53,18 @@ class Inverter:
 
     @property
     def operation(self) -> Operation:
-        """Return what it is told to do."""
-        return operation.operation(self.condition)
+        """Return what it is told to do; worked out anew when one of its sources has changed."""
+        condition, panel = self.condition, self.condition.panel
+        sources = (
+            self.memory.changes,
+            panel.is_running,
+            panel.is_reverse,
+            panel.frequency,
+            condition.is_speed_commanded,
+        )
+        if self._operation is None or self._operation[0] != sources:
+            self._operation = (sources, operation.operation(condition))
+        return self._operation[1]
 
     @property
     def is_running(self) -> bool:

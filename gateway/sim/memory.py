@@ -46,6 +46,7 @@ class Memory:
         }
         self._in_force: dict[int, int] = {}
         self.eeprom_writes: dict[int, int] = {}
+        self.changes = 0  # how often any word was written
         for name, word in (presets or {}).items():
             self._eeprom[model.registers[name].address] = word & 0xFFFF
         self.reset()
@@ -57,6 +58,7 @@ class Memory:
             for address, register in self._by_address.items()
         }
         self._in_force = dict(self._ram)
+        self.changes += 1
 
     def register(self, address: int) -> Register:
         """Return what stands under a communication number; denied where nothing does."""
@@ -107,10 +109,11 @@ class Memory:
     def write_ram(self, register: Register, word: int) -> None:
         """Write the word that is in use; the EEPROM keeps its own."""
         self._ram[register.address] = word
+        self.changes += 1
 
     def write_stored(self, register: Register, word: int) -> bool:
         """Write as MODBUS 06H and 10H do; say whether that wore the EEPROM."""
-        self._ram[register.address] = word
+        self.write_ram(register, word)
         if register.storage is not Storage.EEPROM:
             return False
         self._eeprom[register.address] = word
@@ -120,6 +123,6 @@ class Memory:
     def set_by_panel(self, name: str, word: int) -> None:
         """Set a register at the drive itself: no protection applies, and no wear is counted."""
         register = self._by_name[name]
-        self._ram[register.address] = word & 0xFFFF
+        self.write_ram(register, word & 0xFFFF)
         if register.address in self._eeprom:
             self._eeprom[register.address] = word & 0xFFFF

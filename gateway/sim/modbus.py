@@ -66,16 +66,21 @@ class Registers(Protocol):
         ...
 
 
+def _shifted(byte: int) -> int:
+    register = byte
+    for _ in range(8):
+        register = register >> 1 ^ 0xA001 if register & 1 else register >> 1
+    return register
+
+
+SHIFTED = tuple(_shifted(byte) for byte in range(256))  # eight shifts of the CRC register at once
+
+
 def crc(data: bytes) -> bytes:
     """Return the check of a frame as it stands on the wire, low byte first (5.2)."""
     register = 0xFFFF
     for byte in data:
-        register ^= byte
-        for _ in range(8):
-            odd = register & 1
-            register >>= 1
-            if odd:
-                register ^= 0xA001
+        register = register >> 8 ^ SHIFTED[(register ^ byte) & 0xFF]
     return register.to_bytes(2, "little")
 
 

@@ -163,8 +163,9 @@ class Wire:
         data = bytes(frame.data)
         if not is_whole(data):
             self.statistics.broken += 1
+            return
         answers = [self._ask(place, drive, data, frame, heard_at) for place, drive in enumerate(self.drives)]
-        if is_whole(data) and not any(answers):
+        if not any(answers):
             self.statistics.unanswered += 1
             self.statistics.busy += self._timing.request(len(data)) + self._timing.gap
 
@@ -219,21 +220,26 @@ class Wire:
         while self._echoes and self._echoes[0][0] <= now + ROUNDING:
             self._heard.append(self._echoes.popleft()[1])
         for sending in self._sendings:
-            if self._delivery is Delivery.FRAME and sending.end > now + ROUNDING:
+            if not sending.characters or (self._delivery is Delivery.FRAME and sending.end > now + ROUNDING):
                 continue
+            talk = self._talk_over(sending)
             arrived = bytearray()
             while sending.characters and sending.characters[0][0] <= now + ROUNDING:
                 at, byte = sending.characters.popleft()
-                arrived.append(self._spoilt(byte) if self._is_talked_over(at) else byte)
+                arrived.append(self._spoilt(byte) if talk and self._is_within(at, talk) else byte)
             if arrived:
                 self._heard.append(bytes(arrived))
         self._prune(now)
 
-    def _is_talked_over(self, at: float) -> bool:
-        """Say whether the master sent while this character, that ended then, was on the line."""
-        begin = at - self._timing.answer(1)
-        spans = [*self._sent, (self._frame.begin, self._frame.end)] if self._frame else self._sent
-        return any(sent_begin < at - ROUNDING and begin < sent_end - ROUNDING for sent_begin, sent_end in spans)
+    def _talk_over(self, sending: Sending) -> list[tuple[float, float]]:
+        """Return when the master sent while an answer was on the line."""
+        sent = [*self._sent, (self._frame.begin, self._frame.end)] if self._frame else self._sent
+        return [(begin, end) for begin, end in sent if begin < sending.end and sending.begin < end]
+
+    def _is_within(self, at: float, spans: list[tuple[float, float]]) -> bool:
+        """Say whether a character that ended then was on the line during one of those spans."""
+        first = at - self._timing.answer(1)
+        return any(begin < at - ROUNDING and first < end - ROUNDING for begin, end in spans)
 
     def _prune(self, now: float) -> None:
         """Forget what no longer matters to what comes."""
