@@ -6,6 +6,7 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate
 
 ANSWER_BOUNDS = (0.005, 0.01, 0.015, 0.02, 0.03, 0.05, 0.1, 0.25, 0.5, 1.0)  # seconds
 GAP_BOUNDS = (0.001, 0.002, 0.0025, 0.003, 0.005, 0.01, 0.05, 0.1, 0.5, 1.0, 5.0)  # seconds
@@ -31,9 +32,15 @@ class Histogram:
         """Return the number of observations."""
         return sum(self.counts)
 
+    def cumulated(self) -> list[int]:
+        """Return the number of observations up to each bound, and last of all of them."""
+        return list(accumulate(self.counts))
+
     def quantile(self, share: float) -> float:
-        """Return the bound below which that share of the observations lies; the last bound past it."""
+        """Return the bound below which that share of the observations lies; the last bound past it, 0 without any."""
         wanted = share * self.count
+        if not wanted:
+            return 0.0
         seen = 0
         for bound, count in zip(self.bounds, self.counts, strict=False):
             seen += count
