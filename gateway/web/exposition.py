@@ -1,0 +1,169 @@
+"""Puts the counters and the state of every drive into metric families, named by Prometheus' conventions."""
+
+from __future__ import annotations
+
+import platform
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from prometheus_client.core import (
+    CounterMetricFamily,
+    GaugeMetricFamily,
+    HistogramMetricFamily,
+    InfoMetricFamily,
+    Metric,
+)
+
+from gateway import __version__
+from gateway.image import DriveImage, Image, LinkState, Quality
+from gateway.metrics import DriveStats, Histogram, LineStats, MqttStats, Stats, TcpStats
+from gateway.site import Site
+from gateway.web.page import age
+
+Labels = tuple[str, ...]
+S = TypeVar("S")
+
+LINE = ("line",)
+DRIVE = ("line", "drive")
+NEVER = float("inf")  # the age of what was never heard: an alert on "older than" must fire
+
+
+@dataclass(frozen=True, slots=True)
+class Number(Generic[S]):
+    """A plain metric: its name, its help, and how it is read from what it counts of. Counters end in _total."""
+
+    name: str
+    text: str
+    read: Callable[[S], float]
+
+    def family(self, labels: Labels, each: Iterable[tuple[Labels, S]]) -> Metric:
+        """Return the metric for each label set."""
+        kind = CounterMetricFamily if self.name.endswith("_total") else GaugeMetricFamily
+        family = kind(self.name, self.text, labels=labels)
+        for of, stats in each:
+            family.add_metric(of, self.read(stats))
+        return family
+
+
+OF_LINES: tuple[Number[LineStats], ...] = (
+    Number("tosvert_line_up", "Whether the port is open.", lambda line: line.is_up),
+    Number("tosvert_line_opened_total", "Times that the port was opened.", lambda line: line.opened),
+    Number("tosvert_line_exchanges_total", "Requests sent to drives.", lambda line: line.exchanges),
+    Number(
+        "tosvert_line_busy_seconds_total",
+        "Seconds in which the wire and the drives were necessarily busy.",
+        lambda line: line.busy,
+    ),
+    Number(
+        "tosvert_line_load_ratio",
+        "Share of the last second in which the line was necessarily busy.",
+        lambda line: line.load,
+    ),
+)
+
+OF_DRIVES: tuple[Number[DriveStats], ...] = (
+    Number("tosvert_drive_exchanges_total", "Requests sent to the drive.", lambda drive: drive.exchanges),
+    Number("tosvert_drive_timeouts_total", "Requests without an answer.", lambda drive: drive.timeouts),
+    Number("tosvert_drive_bad_replies_total", "Answers that fit no request.", lambda drive: drive.bad_replies),
+    Number("tosvert_drive_refusals_total", "Requests that the drive refused.", lambda drive: drive.refusals),
+    Number(
+        "tosvert_drive_longest_gap_seconds",
+        "Longest time between two answers; the drive's F803 must be longer.",
+        lambda drive: drive.longest_gap,
+    ),
+)
+
+OF_MQTT: tuple[Number[MqttStats], ...] = (
+    Number("tosvert_mqtt_connected", "Whether the broker is connected.", lambda mqtt: mqtt.is_connected),
+    Number("tosvert_mqtt_connects_total", "Connections made to the broker.", lambda mqtt: mqtt.connects),
+    Number("tosvert_mqtt_published_total", "Messages handed to the broker.", lambda mqtt: mqtt.published),
+    Number("tosvert_mqtt_dropped_total", "Messages dropped because the queue was full.", lambda mqtt: mqtt.dropped),
+    Number("tosvert_mqtt_waiting_messages", "Messages that wait for the broker.", lambda mqtt: mqtt.waiting),
+)
+
+OF_MODBUS_TCP: tuple[Number[TcpStats], ...] = (
+    Number("tosvert_modbus_tcp_connections", "Clients that are connected.", lambda tcp: tcp.connections),
+    Number("tosvert_modbus_tcp_accepted_total", "Connections that were accepted.", lambda tcp: tcp.accepted),
+    Number("tosvert_modbus_tcp_turned_away_total", "Connections beyond the limit.", lambda tcp: tcp.turned_away),
+)
+
+
+def families(site: Site, image: Image, stats: Stats, now: float) -> Iterator[Metric]:
+    """Yield every metric family as it stands at `now` (monotonic seconds); documented in docs/monitoring.md."""
+    build = {"version": __version__, "python": platform.python_version(), "gateway": site.config.gateway.name}
+    yield InfoMetricFamily("tosvert_build", "Version of the gateway and of Python, and its name.", value=build)
+    yield from _of_lines(site, stats)
+    yield from _of_drives(site, stats)
+    yield from _of_values([((i.drive.line, i.drive.name), i) for i in image.drives], now)
+    if site.config.mqtt is not None:
+        for number in OF_MQTT:
+            yield number.family((), [((), stats.mqtt)])
+    if site.config.modbus_tcp is not None:
+        yield from _of_modbus_tcp(stats.tcp)
+
+
+def _of_lines(site: Site, stats: Stats) -> Iterator[Metric]:
+    each = [((line.name,), stats.lines.get(line.name) or LineStats()) for line in site.lines]
+    for number in OF_LINES:
+        yield number.family(LINE, each)
+    errors = CounterMetricFamily("tosvert_line_errors_total", "What went wrong, by kind.", labels=(*LINE, "kind"))
+    for of, line in each:
+        for kind, count in sorted(line.errors.items()):
+            errors.add_metric((*of, kind), count)
+    yield errors
+    gaps = ((of, line.gaps) for of, line in each)
+    yield _histogram("tosvert_line_gap_seconds", "Silence on the line before each request.", LINE, gaps)
+
+
+def _of_drives(site: Site, stats: Stats) -> Iterator[Metric]:
+    each = [((drive.line, drive.name), stats.drives.get(drive.name) or DriveStats()) for drive in site.drives]
+    for number in OF_DRIVES:
+        yield number.family(DRIVE, each)
+    answers = ((of, drive.answers) for of, drive in each)
+    text = "Time from the end of a request to the end of its answer."
+    yield _histogram("tosvert_drive_answer_seconds", text, DRIVE, answers)
+
+
+def _of_values(each: list[tuple[Labels, DriveImage]], now: float) -> Iterator[Metric]:
+    up = GaugeMetricFamily("tosvert_drive_up", "Whether the drive answers, so that its values count.", labels=DRIVE)
+    text = "1 for the state that the link is in, 0 for the others."
+    links = GaugeMetricFamily("tosvert_drive_link_state", text, labels=(*DRIVE, "state"))
+    ages = GaugeMetricFamily("tosvert_drive_age_seconds", "Time since the last answer with values.", labels=DRIVE)
+    text = "Number of values of each quality."
+    values = GaugeMetricFamily("tosvert_drive_values", text, labels=(*DRIVE, "quality"))
+    for of, image in each:
+        up.add_metric(of, image.link.is_connected)
+        for state in LinkState:
+            links.add_metric((*of, state.word), image.link is state)
+        seconds = age(image, now)
+        ages.add_metric(of, NEVER if seconds is None else seconds)
+        counts = Counter(image.quality(name, now) for name in image.names)
+        for quality in Quality:
+            values.add_metric((*of, quality.word), counts[quality])
+    yield from (up, links, ages, values)
+
+
+def _of_modbus_tcp(stats: TcpStats) -> Iterator[Metric]:
+    for number in OF_MODBUS_TCP:
+        yield number.family((), [((), stats)])
+    text = "Requests by function code (hexadecimal)."
+    yield _by_code("tosvert_modbus_tcp_requests_total", text, "function", stats.requests)
+    text = "Exception answers by exception code (hexadecimal)."
+    yield _by_code("tosvert_modbus_tcp_exceptions_total", text, "code", stats.exceptions)
+
+
+def _by_code(name: str, text: str, label: str, counts: Counter[int]) -> Metric:
+    family = CounterMetricFamily(name, text, labels=(label,))
+    for code, count in sorted(counts.items()):
+        family.add_metric((f"{code:02X}",), count)
+    return family
+
+
+def _histogram(name: str, text: str, labels: Labels, each: Iterable[tuple[Labels, Histogram]]) -> Metric:
+    family = HistogramMetricFamily(name, text, labels=labels)
+    for of, histogram in each:
+        bounds = [*(str(float(bound)) for bound in histogram.bounds), "+Inf"]
+        family.add_metric(of, list(zip(bounds, histogram.cumulated(), strict=True)), histogram.total)
+    return family

@@ -1,0 +1,207 @@
+"""Metrics: named by Prometheus' rules, documented, and true to the counters."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from prometheus_client.core import Metric
+from prometheus_client.exposition import generate_latest
+from prometheus_client.parser import text_string_to_metric_families
+
+from gateway import site
+from gateway.image import LinkState, Quality
+from gateway.web.exposition import families
+from tests.web.rig import Rig, table
+
+PAGE = Path(__file__).parents[2] / "docs" / "monitoring.md"
+ROW = re.compile(r"^\| `(tosvert_\w+)` \| (\w+) \| ([\w, ]*) ?\|", re.MULTILINE)
+DOCUMENTED = {
+    name: (kind, set(filter(None, labels.strip().split(", "))))
+    for name, kind, labels in ROW.findall(PAGE.read_text(encoding="utf-8"))
+}
+
+
+class Whole:
+    """All families as a registry hands them out."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+
+    def collect(self) -> list[Metric]:
+        """Return the families now."""
+        return list(families(self.rig.built, self.rig.image, self.rig.stats, self.rig.clock.now()))
+
+
+def scraped(rig: Rig) -> dict[tuple[str, frozenset[tuple[str, str]]], float]:
+    """Return every sample of the text form, by name and labels."""
+    text = generate_latest(Whole(rig)).decode()
+    return {
+        (sample.name, frozenset(sample.labels.items())): sample.value
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+    }
+
+
+def value(rig: Rig, name: str, **labels: str) -> float:
+    """Return one sample."""
+    return scraped(rig)[name, frozenset(labels.items())]
+
+
+def exposed_name(family: Metric) -> str:
+    """Return the name that stands in the text form's TYPE line."""
+    return family.name + {"counter": "_total", "info": "_info"}.get(family.type, "")
+
+
+@pytest.fixture
+def busy() -> Rig:
+    """Return a gateway that has counted something everywhere."""
+    rig = Rig()
+    rig.open()
+    rig.answer()
+    line, pump = rig.stats.lines["a"], rig.stats.drives["pump-1"]
+    line.exchanges, line.busy, line.load = 1000, 41.5, 0.83
+    line.errors.update(no_reply=3, bad_reply=1)
+    for gap in (0.0021, 0.0024, 7.0):
+        line.gaps.observe(gap)
+    pump.exchanges, pump.timeouts, pump.bad_replies, pump.refusals, pump.longest_gap = 500, 3, 1, 2, 0.41
+    pump.answers.observe(0.02)
+    mqtt, tcp = rig.stats.mqtt, rig.stats.tcp
+    mqtt.is_connected, mqtt.connects, mqtt.published, mqtt.dropped, mqtt.waiting = True, 2, 900, 4, 17
+    tcp.connections, tcp.accepted, tcp.turned_away = 5, 9, 1
+    tcp.requests.update({3: 700, 4: 20, 43: 1})
+    tcp.exceptions.update({2: 6, 11: 8})
+    return rig
+
+
+def test_every_metric_is_documented_as_it_is(busy: Rig) -> None:
+    """The page lists exactly the metrics there are, each with its type and its labels."""
+    exposed = {}
+    for family in Whole(busy).collect():
+        labels = {label for sample in family.samples for label in sample.labels} - {"le"}
+        exposed[exposed_name(family)] = ({"info": "gauge"}.get(family.type, family.type), labels)
+    assert exposed == DOCUMENTED
+
+
+def test_names_keep_to_the_conventions(busy: Rig) -> None:
+    """Counters end in _total and nothing else does; no name carries a type, a milli unit or a reserved suffix."""
+    for family in Whole(busy).collect():
+        name = exposed_name(family)
+        assert re.fullmatch(r"tosvert_[a-z]+(_[a-z]+)*", name), name
+        assert name.endswith("_total") == (family.type == "counter"), name
+        assert not re.search(r"_(count|sum|bucket|gauge|counter|histogram|ms|milliseconds|percent)$", name), name
+        assert family.documentation.endswith("."), name
+
+
+def test_no_sample_stands_twice(busy: Rig) -> None:
+    """One family per name, one sample per label set: Prometheus refuses a page that repeats one."""
+    samples = [
+        (sample.name, frozenset(sample.labels.items()))
+        for family in Whole(busy).collect()
+        for sample in family.samples
+    ]
+    assert len(samples) == len(set(samples))
+    names = [family.name for family in Whole(busy).collect()]
+    assert len(names) == len(set(names))
+
+
+def test_line_counters_are_shown(busy: Rig) -> None:
+    """What the line has counted is what is scraped."""
+    assert value(busy, "tosvert_line_up", line="a") == 1
+    assert value(busy, "tosvert_line_opened_total", line="a") == 1
+    assert value(busy, "tosvert_line_exchanges_total", line="a") == 1000
+    assert value(busy, "tosvert_line_exchanges_total", line="b") == 0
+    assert value(busy, "tosvert_line_busy_seconds_total", line="a") == 41.5
+    assert value(busy, "tosvert_line_load_ratio", line="a") == 0.83
+    assert value(busy, "tosvert_line_errors_total", line="a", kind="no_reply") == 3
+    assert value(busy, "tosvert_line_errors_total", line="a", kind="bad_reply") == 1
+
+
+def test_a_histogram_cumulates_up_to_all(busy: Rig) -> None:
+    """Each bucket holds all below it, the last one all; sum and count agree."""
+    name = "tosvert_line_gap_seconds"
+    assert value(busy, f"{name}_bucket", line="a", le="0.002") == 0
+    assert value(busy, f"{name}_bucket", line="a", le="0.0025") == 2
+    assert value(busy, f"{name}_bucket", line="a", le="5.0") == 2
+    assert value(busy, f"{name}_bucket", line="a", le="+Inf") == 3
+    assert value(busy, f"{name}_count", line="a") == 3
+    assert value(busy, f"{name}_sum", line="a") == pytest.approx(7.0045)
+    assert value(busy, "tosvert_drive_answer_seconds_count", line="a", drive="pump-1") == 1
+
+
+def test_drive_counters_are_shown(busy: Rig) -> None:
+    """What is counted for a drive is scraped with its line."""
+    pump = {"line": "a", "drive": "pump-1"}
+    assert value(busy, "tosvert_drive_exchanges_total", **pump) == 500
+    assert value(busy, "tosvert_drive_timeouts_total", **pump) == 3
+    assert value(busy, "tosvert_drive_bad_replies_total", **pump) == 1
+    assert value(busy, "tosvert_drive_refusals_total", **pump) == 2
+    assert value(busy, "tosvert_drive_longest_gap_seconds", **pump) == 0.41
+    assert value(busy, "tosvert_drive_timeouts_total", line="b", drive="fan") == 0
+
+
+def test_northbound_counters_are_shown(busy: Rig) -> None:
+    """MQTT and MODBUS-TCP, codes in hexadecimal as the standard writes them."""
+    assert value(busy, "tosvert_mqtt_connected") == 1
+    assert value(busy, "tosvert_mqtt_connects_total") == 2
+    assert value(busy, "tosvert_mqtt_published_total") == 900
+    assert value(busy, "tosvert_mqtt_dropped_total") == 4
+    assert value(busy, "tosvert_mqtt_waiting_messages") == 17
+    assert value(busy, "tosvert_modbus_tcp_connections") == 5
+    assert value(busy, "tosvert_modbus_tcp_accepted_total") == 9
+    assert value(busy, "tosvert_modbus_tcp_turned_away_total") == 1
+    assert value(busy, "tosvert_modbus_tcp_requests_total", function="2B") == 1
+    assert value(busy, "tosvert_modbus_tcp_requests_total", function="03") == 700
+    assert value(busy, "tosvert_modbus_tcp_exceptions_total", code="0B") == 8
+
+
+@pytest.mark.parametrize("link", list(LinkState))
+def test_the_link_is_in_exactly_one_state(busy: Rig, link: LinkState) -> None:
+    """1 for the state, 0 for the others; up while the drive's values count."""
+    busy.image.by_name["fan"].set_link(link, "because")
+    states = {
+        state: value(busy, "tosvert_drive_link_state", line="b", drive="fan", state=state.word) for state in LinkState
+    }
+    assert states == {state: float(state is link) for state in LinkState}
+    assert value(busy, "tosvert_drive_up", line="b", drive="fan") == float(link.is_connected)
+
+
+@pytest.mark.hazard("H19")
+def test_values_are_counted_by_quality_and_age_grows(busy: Rig) -> None:
+    """Good turns stale by the clock alone; offline and never read are told apart."""
+    busy.image.by_name["fan"].set_link(LinkState.OFFLINE, "no answer")
+    busy.clock.moment += 0.5
+    busy.answer("pump-1")
+    busy.clock.moment += 0.75
+
+    def by_quality(line: str, drive: str) -> dict[Quality, float]:
+        return {q: value(busy, "tosvert_drive_values", line=line, drive=drive, quality=q.word) for q in Quality}
+
+    assert by_quality("a", "pump-1") == {q: 3.0 * (q is Quality.GOOD) for q in Quality}
+    assert by_quality("a", "pump-2") == {q: 3.0 * (q is Quality.STALE) for q in Quality}
+    assert by_quality("b", "fan") == {q: 3.0 * (q is Quality.OFFLINE) for q in Quality}
+    assert value(busy, "tosvert_drive_age_seconds", line="a", drive="pump-1") == 0.75
+    assert value(busy, "tosvert_drive_age_seconds", line="a", drive="pump-2") == 1.25
+
+
+def test_a_drive_never_heard_is_older_than_any_alarm() -> None:
+    """+Inf is above every threshold; a missing sample would be above none."""
+    rig = Rig()
+    assert value(rig, "tosvert_drive_age_seconds", line="a", drive="pump-1") == float("inf")
+    assert value(rig, "tosvert_drive_values", line="a", drive="pump-1", quality="never_read") == 3
+
+
+def test_what_is_not_configured_is_not_exposed() -> None:
+    """Without the sections [mqtt] and [modbus_tcp] there are no zeros that look like a broker that is away."""
+    without = {key: section for key, section in table().items() if key not in ("mqtt", "modbus_tcp")}
+    names = {name for name, _ in scraped(Rig(site.build(without, "test", Path())))}
+    assert not [name for name in names if "mqtt" in name or "modbus" in name]
+    assert "tosvert_line_up" in names
+
+
+def test_the_build_is_named(busy: Rig) -> None:
+    """Gateway, version and Python, always 1."""
+    ((labels, one),) = [(of, number) for (name, of), number in scraped(busy).items() if name == "tosvert_build_info"]
+    assert dict(labels).keys() == {"gateway", "version", "python"}
+    assert (dict(labels)["gateway"], one) == ("hall-3", 1)
