@@ -66,8 +66,7 @@ class _LoopAlarm:
     """Wait by the event loop's timers; uvloop's count whole milliseconds, so it may be late by one."""
 
     async def wait_until(self, when: float) -> None:
-        left = when - time.monotonic()
-        if left > 0:
+        while (left := when - time.monotonic()) > 0:  # noqa: ASYNC110  (there is no event but time itself)
             await asyncio.sleep(left + LOOP_TIMER_STEP)
 
     def close(self) -> None:
