@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from random import Random
@@ -60,6 +60,11 @@ class Faults:
     def __init__(self, rng: Random, faults: Iterable[Fault] = ()) -> None:
         self._rng = rng
         self._faults = list(faults)
+
+    @property
+    def all(self) -> Sequence[Fault]:
+        """Return the faults that have not been ended, those that have struck out included."""
+        return tuple(self._faults)
 
     def add(self, fault: Fault) -> None:
         """Let a fault begin."""

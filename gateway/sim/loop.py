@@ -99,6 +99,7 @@ class LineLoop:
         return self.wire.statistics.as_table() | {
             "elapsed": time.monotonic() - self.started,
             "lateness_maximum": self.lateness.maximum,
+            "lateness_p50": self.lateness.percentile(0.5),
             "lateness_p99": self.lateness.percentile(0.99),
         }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from random import Random
 from typing import Annotated, Any, Literal, get_args
@@ -119,7 +120,7 @@ def _explain(item: Mapping[str, Any]) -> str:
 
 def build(line: SimulatedLineConfig, now: float = 0.0) -> Wire:
     """Make the drives and the wire of a line; BadConfig says what the catalogue does not have."""
-    models = catalogue.load(Path(name) for name in line.catalogue)
+    models = _models(tuple(line.catalogue))
     problems: list[str] = []
     drives = []
     for place, section in enumerate(line.drive):
@@ -131,6 +132,11 @@ def build(line: SimulatedLineConfig, now: float = 0.0) -> Wire:
         raise BadConfig("\n".join(problems))
     faults = Faults(_chance(line.seed, "faults"), _faults(line, now))
     return Wire(LineTiming(line.baud), drives, faults, parity=line.parity, delivery=line.delivery)
+
+
+@cache
+def _models(files: tuple[str, ...]) -> catalogue.Catalogue:
+    return catalogue.load(Path(name) for name in files)
 
 
 def doubled_numbers(line: SimulatedLineConfig) -> list[int]:

@@ -71,6 +71,7 @@ class Wire:
         self._echoes: deque[tuple[float, bytes]] = deque()
         self._busy: dict[int, float] = {}  # until when each drive, by its place, works on a frame
         self._heard: list[bytes] = []
+        self._heard_at = 0.0
 
     # -- what the loop calls --------------------------------------------------------------------------------
 
@@ -98,6 +99,9 @@ class Wire:
 
     def next_event(self) -> float | None:
         """Return when `due` has something to do next; None while the line is quiet."""
+        return self._heard_at if self._heard else self._next_on_line()
+
+    def _next_on_line(self) -> float | None:
         times = [sending.characters[0][0] for sending in self._sendings if sending.characters]
         if self._delivery is Delivery.FRAME:
             times = [sending.end for sending in self._sendings if sending.characters]
@@ -144,7 +148,7 @@ class Wire:
             frame.is_lost = True
 
     def _advance(self, now: float) -> None:
-        while (event := self.next_event()) is not None and event <= now + ROUNDING:
+        while (event := self._next_on_line()) is not None and event <= now + ROUNDING:
             if self._frame is not None and event >= self._frame.end + self._timing.gap:
                 self._end_frame(self._frame)
             self._deliver(event)
@@ -218,7 +222,7 @@ class Wire:
     def _deliver(self, now: float) -> None:
         """Hand the master what has ended by now."""
         while self._echoes and self._echoes[0][0] <= now + ROUNDING:
-            self._heard.append(self._echoes.popleft()[1])
+            self._hear(self._echoes.popleft()[1], now)
         for sending in self._sendings:
             if not sending.characters or (self._delivery is Delivery.FRAME and sending.end > now + ROUNDING):
                 continue
@@ -228,8 +232,13 @@ class Wire:
                 at, byte = sending.characters.popleft()
                 arrived.append(self._spoilt(byte) if talk and self._is_within(at, talk) else byte)
             if arrived:
-                self._heard.append(bytes(arrived))
+                self._hear(bytes(arrived), now)
         self._prune(now)
+
+    def _hear(self, data: bytes, now: float) -> None:
+        if not self._heard:
+            self._heard_at = now
+        self._heard.append(data)
 
     def _talk_over(self, sending: Sending) -> list[tuple[float, float]]:
         """Return when the master sent while an answer was on the line."""
