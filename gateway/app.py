@@ -79,24 +79,26 @@ class App:
                 await server.stop()
 
     async def _run_tasks(self) -> None:
-        """Run the core tasks together; the first that ends, ends them all."""
-        tasks: dict[str, Coroutine[Any, Any, None]] = {"housekeeping": self._keep_house()}
-        for line, worker in zip(self.site.lines, self.workers, strict=True):
-            tasks[f"line {line.name}"] = worker.run()
+        """Run the core tasks together; the first that ends, ends them all: lines first, so that MQTT can say so."""
+        lines = [
+            _start(f"line {line.name}", worker.run())
+            for line, worker in zip(self.site.lines, self.workers, strict=True)
+        ]
+        others = [_start("housekeeping", self._keep_house())]
         if self.bridge is not None:
-            tasks["mqtt"] = self.bridge.run()
-        running = [asyncio.create_task(_for_ever(name, task), name=name) for name, task in tasks.items()]
+            others.append(_start("mqtt", self.bridge.run()))
         stop = asyncio.create_task(self._stop.wait())
         gc.collect()
         gc.freeze()  # what lives for ever is not searched again while a line waits
         systemd.notify("READY=1")
         log.info("tosvert-gateway %s: %d lines, %d drives", __version__, len(self.site.lines), len(self.site.drives))
         try:
-            done, _ = await asyncio.wait([*running, stop], return_when=asyncio.FIRST_COMPLETED)
+            done, _ = await asyncio.wait([*lines, *others, stop], return_when=asyncio.FIRST_COMPLETED)
         finally:
-            for task in [*running, stop]:
-                task.cancel()
-            await asyncio.gather(*running, stop, return_exceptions=True)
+            for tasks in (lines, [*others, stop]):
+                for task in tasks:
+                    task.cancel()
+                await asyncio.gather(*tasks, return_exceptions=True)
         for task in done - {stop}:
             await task
         log.info("ended in order")
@@ -131,6 +133,11 @@ class App:
         return f"{up} of {len(self.stats.lines)} lines up, {online} of {len(self.image.drives)} drives online"
 
 
-async def _for_ever(name: str, task: Coroutine[Any, Any, None]) -> None:
-    await task
-    raise CoreTaskEnded(f"task {name!r} has ended, which it never should")
+def _start(name: str, work: Coroutine[Any, Any, None]) -> asyncio.Task[Any]:
+    """Start a core task: when it ends by itself, that is an error."""
+
+    async def for_ever() -> None:
+        await work
+        raise CoreTaskEnded(f"task {name!r} has ended, which it never should")
+
+    return asyncio.create_task(for_ever(), name=name)

@@ -21,8 +21,7 @@ from gateway.modbus_tcp import mapping
 from gateway.mqtt import topics
 from gateway.sim import runner, settings
 
-EXIT_USAGE = 64  # sysexits(3): the numbers that service managers know
-EXIT_UNAVAILABLE = 69
+EXIT_UNAVAILABLE = 69  # sysexits(3): the numbers that service managers know
 EXIT_SOFTWARE = 70
 EXIT_CONFIG = 78
 

@@ -82,6 +82,8 @@ class LineWorker:
         finally:
             self._stats.is_up = False
             self._alarm.close()
+            for station in self._stations.values():  # nobody reads any more: nothing is fresh
+                station.image.set_link(LinkState.LINE_DOWN, "the gateway ends")
 
     def _down(self, reason: str, wait: float) -> None:
         if self._stats.is_up or not self._stats.errors["line_down"]:

@@ -1,0 +1,85 @@
+"""Says how values, qualities and times are spelt in payloads."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+
+from gateway.image import DriveImage, Quality, Sample
+
+ONLINE = "online"
+OFFLINE = "offline"
+NOTHING = ""  # the payload that makes a broker forget what it retains on a topic
+NO_BITS = "none"  # a bit field without a set bit, in words
+
+RESERVED_KEYS = frozenset({"time", "quality"})
+WORDS = {quality: quality.word for quality in Quality}
+
+
+def presence(is_there: bool) -> str:
+    """Return "online" or "offline"."""
+    return ONLINE if is_there else OFFLINE
+
+
+def value(image: DriveImage, name: str, sample: Sample) -> str:
+    """Return the engineering value as text, "60.00"; nothing where it is not good."""
+    return image.show(name, sample.word) if sample.quality is Quality.GOOD else NOTHING
+
+
+def text(image: DriveImage, name: str, sample: Sample) -> str:
+    """Return the words of a bit field or a code; nothing where it is not good."""
+    if sample.quality is not Quality.GOOD:
+        return NOTHING
+    return image.text(name, sample.word) or NO_BITS
+
+
+def timestamp(wall: float) -> str:
+    """Return UTC seconds as ISO 8601 with milliseconds: "2026-03-01T12:00:00.250Z"."""
+    return f"{datetime.fromtimestamp(wall, UTC):%Y-%m-%dT%H:%M:%S}.{int(wall % 1 * 1000):03d}Z"
+
+
+def key(name: str) -> str:
+    """Return the key of a value in the JSON state; a name that is taken gets "_value" behind it."""
+    return f"{name}_value" if name in RESERVED_KEYS else name
+
+
+class StateWriter:
+    """Writes the JSON state of one drive: a flat object of all values, with `time` and `quality`.
+
+    A value's part is made anew only when the value has changed, so that a state costs little per answer.
+    """
+
+    def __init__(self, image: DriveImage) -> None:
+        self._image = image
+        self._parts: dict[str, tuple[object, str]] = {}
+
+    def write(self, now: float) -> str:
+        """Return the state as it is now."""
+        image = self._image
+        worst, newest = Quality.GOOD, 0.0
+        parts = []
+        for name in image.names:
+            sample = image.sample(name, now)
+            worst = max(worst, sample.quality)
+            newest = max(newest, sample.wall)
+            parts.append(self._part(name, sample))
+        time = f'"{timestamp(newest)}"' if newest else "null"
+        return f'{{"time":{time},"quality":"{WORDS[worst]}",{",".join(parts)}}}'
+
+    def _part(self, name: str, sample: Sample) -> str:
+        derived = self._image.derived.get(name)
+        base = derived and self._image.bases.get(derived.base)
+        made_of = (sample.word, sample.quality is Quality.GOOD, base)
+        known = self._parts.get(name)
+        if known is None or known[0] != made_of:
+            known = self._parts[name] = (made_of, self._make(name, sample))
+        return known[1]
+
+    def _make(self, name: str, sample: Sample) -> str:
+        is_good = sample.quality is Quality.GOOD
+        number = self._image.show(name, sample.word) if is_good else "null"
+        part = f"{json.dumps(key(name))}:{number}"
+        if self._image.text(name, 0) is None:
+            return part
+        words = json.dumps(text(self._image, name, sample), ensure_ascii=False) if is_good else "null"
+        return f"{part},{json.dumps(key(name) + '_text')}:{words}"

@@ -1,0 +1,84 @@
+"""Says under which topic everything is published."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from gateway.config import MqttSection
+from gateway.image import DriveImage
+from gateway.site import Site
+
+AVAILABILITY = "availability"
+STATE = "state"
+
+# Levels below a drive that are no values: what is published besides, and what is taken for control and description.
+RESERVED = frozenset({AVAILABILITY, STATE, "set", "command", "heartbeat", "result", "event", "description"})
+
+
+@dataclass(frozen=True, slots=True)
+class ValueTopics:
+    """The topics of one value; `text` is None where a number says all."""
+
+    value: str
+    text: str | None
+    quality: str
+
+
+@dataclass(frozen=True, slots=True)
+class DriveTopics:
+    """The topics of one drive."""
+
+    availability: str
+    state: str
+    values: Mapping[str, ValueTopics]
+
+
+def status(base: str, gateway: str) -> str:
+    """Return the topic that says whether the gateway itself is there: birth and will."""
+    return f"{base}/{gateway}/status"
+
+
+def level(name: str) -> str:
+    """Return the topic level of a value; a name that is taken for another use gets "_value" behind it."""
+    return f"{name}_value" if name in RESERVED else name
+
+
+def has_text(image: DriveImage, name: str) -> bool:
+    """Say whether a value is a bit field or a code, which have words besides the number."""
+    return image.text(name, 0) is not None
+
+
+def of_drive(base: str, gateway: str, image: DriveImage) -> DriveTopics:
+    """Make all topics of a drive."""
+    root = f"{base}/{gateway}/{image.drive.name}"
+    return DriveTopics(
+        availability=f"{root}/{AVAILABILITY}",
+        state=f"{root}/{STATE}",
+        values={name: _of_value(f"{root}/{level(name)}", has_text(image, name)) for name in image.names},
+    )
+
+
+def _of_value(value: str, has_words: bool) -> ValueTopics:
+    return ValueTopics(value, f"{value}_text" if has_words else None, f"{value}/quality")
+
+
+def overview(section: MqttSection, site: Site) -> list[str]:
+    """List every topic that a site publishes under, for the integrator."""
+    gateway = site.config.gateway.name
+    listed = [status(section.base, gateway)]
+    for drive in site.drives:
+        topics = of_drive(section.base, gateway, DriveImage(drive))
+        listed.append(topics.availability)
+        if "state" in section.publish:
+            listed.append(topics.state)
+        if "values" in section.publish:
+            listed += _of_values(topics)
+    return listed
+
+
+def _of_values(topics: DriveTopics) -> list[str]:
+    listed = []
+    for value in topics.values.values():
+        listed += [topic for topic in (value.value, value.text, value.quality) if topic is not None]
+    return listed

@@ -1,0 +1,98 @@
+"""The command line, as far as it needs no port and no broker."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from gateway.config import Config
+
+ROOT = Path(__file__).parent.parent
+EXAMPLES = sorted((ROOT / "config").glob("*.toml"))
+
+
+def command(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run the command as a user does."""
+    return subprocess.run(
+        [sys.executable, "-m", "gateway", *arguments], capture_output=True, text=True, check=False, cwd=ROOT
+    )
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.name)
+def test_check_prints_plan_topics_and_map_of_every_example(path: Path) -> None:
+    """And says that nothing is wrong."""
+    done = command("check", str(path))
+    assert done.returncode == 0, done.stderr
+    for part in ("load with F875-F879", "MQTT topics", "/availability", "MODBUS-TCP on", "no errors"):
+        assert part in done.stdout
+
+
+def test_the_schema_in_config_is_the_one_that_the_command_prints() -> None:
+    """Generated: tosvert-gateway schema > config/schema.json."""
+    printed = command("schema").stdout
+    assert printed == (ROOT / "config" / "schema.json").read_text()
+    assert json.loads(printed)["title"] == Config.__name__
+
+
+def test_the_schema_knows_every_section_and_forbids_what_it_does_not_know() -> None:
+    """An editor finds a misspelt key."""
+    schema = json.loads(command("schema").stdout)
+    assert set(schema["properties"]) == set(Config.model_fields)
+    sections = [entry for entry in schema["$defs"].values() if "properties" in entry]
+    assert all(section.get("additionalProperties") is False for section in sections)
+    tomllib.loads((ROOT / "config" / "everything.toml").read_text())
+
+
+def test_the_map_comes_as_markdown_csv_and_json() -> None:
+    """The same registers in each; CSV with a heading and equal columns."""
+    path = str(ROOT / "config" / "one-drive.toml")
+    assert "FD00" in command("map", path).stdout
+    rows = list(csv.reader(io.StringIO(command("map", path, "--format", "csv").stdout)))
+    assert len(rows) > 20
+    assert len({len(row) for row in rows}) == 1
+    assert any("output_frequency" in row for row in rows)
+    assert "output_frequency" in json.dumps(json.loads(command("map", path, "--format", "json").stdout))
+
+
+def test_registers_lists_what_a_model_has() -> None:
+    """By number, with unit and access; derived values behind."""
+    listed = command("registers", "vf-nc3").stdout
+    assert "FD00  output_frequency" in listed
+    assert "output_current_amps" in listed
+    unknown = command("registers", "vf-s15")
+    assert unknown.returncode == 78
+    assert "known: vf-as3, vf-mb1, vf-nc3" in unknown.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("simulate",), "--drive NUMBER:MODEL"),
+        (("simulate", "--drive", "1"), "1:vf-nc3"),
+        (("simulate", "--drive", "1:vf-nc9"), "vf-nc9"),
+        (("run", "nowhere.toml"), "nowhere.toml: cannot be read"),
+        (("run", "config/one-drive.toml", "--loop", "trio"), "uvloop or asyncio"),
+    ],
+)
+def test_what_is_wrong_with_a_call_is_said_in_a_line(arguments: tuple[str, ...], said: str) -> None:
+    """Exit code 78, no traceback."""
+    done = command(*arguments)
+    assert done.returncode == 78
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_help_and_version() -> None:
+    """Every command has a line of help; it says what this is not."""
+    shown = command("--help").stdout
+    for name in ("run", "check", "map", "schema", "registers", "simulate", "demo"):
+        assert name in shown
+    assert "Not a safety function" in shown
+    assert command("--version").stdout.startswith("tosvert-gateway ")
