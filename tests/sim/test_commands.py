@@ -64,6 +64,14 @@ class TestRunning:
         assert rig.read("output_frequency") == 800
         assert rig.read("status") & REVERSE
 
+    def test_each_way_through_standstill_has_its_own_ramp(self) -> None:
+        """Down at 16 Hz a second and up in reverse at 8: after 2.875 s it turns at 8 Hz."""
+        rig = started(presets={"deceleration_time_1": 50})
+        rig.wait(5)
+        rig.write("command", BOTH | RUN | REVERSE)
+        rig.wait(2.875)
+        assert rig.read("output_frequency") == 800
+
     def test_without_command_priority_nothing_runs(self) -> None:
         """Bit 10 alone is no command."""
         rig = Rig()
@@ -205,6 +213,7 @@ class TestTrips:
         rig.wait(5)
         assert rig.read("output_frequency") == 0
         assert rig.read("trip_code") == 0x11
+        assert rig.write("automatic_acceleration", 1) == "06 00 00 00 01"  # not while running, but it does not run
 
     @pytest.mark.parametrize(("model", "places"), [("vf-nc3", 4), ("vf-mb1", 8)])
     def test_past_trips_shift_and_outlive_the_power(self, model: str, places: int) -> None:

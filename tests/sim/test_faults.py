@@ -131,6 +131,18 @@ class TestWhenAndWhom:
         assert when == pytest.approx(EXCHANGE)
         assert data == ANSWER
 
+    @pytest.mark.parametrize("characters", [-2.0, 4.0, 7.5, 8.5, 11.0])
+    def test_a_request_that_a_late_answer_meets_is_lost(self, characters: float) -> None:
+        """Drive 1 begins to talk during drive 2's request, or in the silence that should end it."""
+        wire = faulty({"kind": "late", "value": 0.030, "count": 1})
+        wire.feed(READ, 0.0)
+        begin = EXCHANGE - 7 * IN + 0.030 - characters * OUT
+        list(heard(wire, begin))
+        wire.feed(framed("03 FD00 0001", 2), begin)
+        data = b"".join(data for _, data in heard(wire))
+        assert wire.statistics.lost == 1
+        assert (len(data), data == ANSWER) == (7, characters > 8)
+
     def test_a_late_answer_on_top_of_another_spoils_both(self) -> None:
         """Drive 1's late answer meets drive 2's."""
         wire = faulty({"kind": "late", "value": 0.030, "count": 1})

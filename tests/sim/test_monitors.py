@@ -95,7 +95,9 @@ class TestMeasurements:
         rig.wait(60)
         assert rig.read("motor_overload_factor") == 10_000
         rig.drive.inverter.run_by_panel(0)
-        rig.wait(300)
+        rig.wait(30)
+        assert 0 < rig.read("motor_overload_factor") < 10_000
+        rig.power_cycle()
         assert rig.read("motor_overload_factor") == 0
 
 

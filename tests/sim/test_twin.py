@@ -8,6 +8,7 @@ from gateway.bus.line import Line
 from gateway.errors import LineDown
 from gateway.protocol.timing import LineTiming
 from gateway.sim.twin import TwinLine
+from tests.sim.rig import framed
 from tests.sim.test_wire import ANSWER, BAUD, EXCHANGE, GAP, READ, line
 from tests.virtual import VirtualClock, run
 
@@ -91,8 +92,8 @@ def test_a_write_discards_what_has_arrived() -> None:
         port, _ = twin()
         await port.write(READ)
         await asyncio.sleep(0.1)
-        await port.write(READ)
-        assert await port.read(FOREVER) == ANSWER
+        await port.write(framed("03 FB07 0001"))
+        assert await port.read(FOREVER) == framed("03 02 00D0")
         port.close()
 
     run(main())
