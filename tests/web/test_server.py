@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import json
+import sys
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
+from pathlib import Path
 
 import aiohttp
 import pytest
@@ -168,6 +170,30 @@ async def test_a_stopped_server_gives_its_port_back(rig: Rig) -> None:
     await second.start()
     assert second.port == first.port
     await second.stop()
+
+
+async def asked(port: int) -> tuple[int | None, str]:
+    """Return what the container's health check says of a port."""
+    program = str(Path(__file__).parents[2] / "deploy" / "healthcheck.py")
+    process = await asyncio.create_subprocess_exec(
+        sys.executable,
+        program,
+        env={"TOSVERT_WEB": f"127.0.0.1:{port}", "http_proxy": "http://127.0.0.1:9"},
+        stdout=asyncio.subprocess.PIPE,
+    )
+    output, _ = await asyncio.wait_for(process.communicate(), 60)
+    return process.returncode, output.decode().strip()
+
+
+async def test_the_containers_health_check_says_what_healthz_says(server: WebServer, rig: Rig) -> None:
+    """Exit code and reason, whatever proxy the environment names; no gateway at all is not healthy."""
+    assert await asked(server.port) == (0, "ok")
+    rig.stats.lines["a"].is_up = False
+    assert await asked(server.port) == (1, "line a: down")
+    await server.stop()
+    code, text = await asked(server.port)
+    assert code == 1
+    assert "ConnectionRefusedError" in text
 
 
 def test_it_serves_on_the_production_loop(rig: Rig) -> None:

@@ -1,0 +1,84 @@
+# Set-up, checks and tests. `make help` lists the targets; each does all the set-up that it needs.
+.POSIX:
+
+VENV = .venv
+BIN = $(VENV)/bin
+PYTHON =
+DEMO_ARGS =
+TEST_ARGS =
+LOCK_ARGS =
+BENCH_ARGS =
+UV = uv>=0.9,<1
+PIP = tools/quietly $(BIN)/python -m pip --disable-pip-version-check --no-input
+FROM_LOCK = install --require-hashes --no-deps
+LOCK = $(BIN)/uv pip compile -q --universal --generate-hashes --python-version 3.11 \
+	--custom-compile-command "make lock"
+
+help: ## list the targets
+	@sed -n 's/^\([a-z-]*\):.*## /\1#/p' Makefile | awk -F'#' '{ printf "make %-12s%s\n", $$1, $$2 }'
+
+demo: $(VENV)/.demo $(VENV)/.package ## show the main job without hardware (DEMO_ARGS="--mqtt-port 11883")
+	@$(BIN)/tosvert-gateway demo $(DEMO_ARGS)
+
+check: $(VENV)/.dev $(VENV)/.package ## lint, types, import contract, generated files, lock files
+	$(BIN)/ruff check -q
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
+	@$(BIN)/tosvert-gateway schema | diff -u config/schema.json - || \
+		{ echo 'config/schema.json is not current: run `make generate`' >&2; exit 1; }
+	$(BIN)/python -m tools.locks
+	$(BIN)/python -m tools.licences --check
+
+test: $(VENV)/.dev $(VENV)/.package programs ## all tests, with branch coverage (TEST_ARGS="-k web")
+	@PATH="$$PATH:/usr/sbin" $(BIN)/pytest -q --cov --cov-branch $(TEST_ARGS)
+
+test-quick: $(VENV)/.dev $(VENV)/.package ## the tests that need no other programs
+	@$(BIN)/pytest -q -m "not e2e" $(TEST_ARGS)
+
+soak: $(VENV)/.dev $(VENV)/.package programs ## the long tests: more inputs for every parser, longer runs
+	@PATH="$$PATH:/usr/sbin" TOSVERT_SOAK=1 $(BIN)/pytest -q $(TEST_ARGS)
+
+bench: $(VENV)/.dev $(VENV)/.package ## measure line utilisation and MODBUS-TCP throughput beside other programs
+	@$(BIN)/python -m bench.run $(BENCH_ARGS)
+
+generate: $(VENV)/.dev $(VENV)/.package ## write the generated files anew: JSON Schema, table of licences
+	$(BIN)/tosvert-gateway schema > $(VENV)/schema.json && mv $(VENV)/schema.json config/schema.json
+	$(BIN)/python -m tools.licences
+
+lock: $(VENV)/.dev ## bring the lock files up to pyproject.toml (LOCK_ARGS=--upgrade: to the newest versions)
+	@$(PIP) install '$(UV)'
+	$(LOCK) $(LOCK_ARGS) --extra demo -o requirements.lock pyproject.toml
+	$(LOCK) $(LOCK_ARGS) --group build -o requirements-build.lock
+	$(LOCK) $(LOCK_ARGS) --extra demo --group dev --group bench --group build \
+		-c requirements.lock -c requirements-build.lock -o requirements-dev.lock pyproject.toml
+	$(BIN)/python -m tools.locks
+
+programs: # what the tests start beside Python
+	@tools/need-packages "make test" mosquitto:mosquitto mosquitto_sub:mosquitto-clients mbpoll:mbpoll
+
+clean: ## remove what make has made
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf .coverage htmlcov
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# The virtual environment is made anew when a lock file changes; the stamps are its contents.
+$(VENV)/.made: requirements.lock requirements-dev.lock requirements-build.lock
+	@PYTHON="$(PYTHON)" tools/make-venv $(VENV)
+	@$(PIP) $(FROM_LOCK) -r requirements-build.lock
+	@touch $@
+
+$(VENV)/.demo: $(VENV)/.made
+	@echo "installing what the gateway needs"
+	@$(PIP) $(FROM_LOCK) -r requirements.lock
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.made
+	@echo "installing what checks and tests need"
+	@$(PIP) $(FROM_LOCK) -r requirements-dev.lock
+	@touch $@
+
+$(VENV)/.package: $(VENV)/.made pyproject.toml
+	@$(PIP) install --no-deps --no-build-isolation -e .
+	@touch $@
+
+.PHONY: help demo check test test-quick soak bench generate lock programs clean
