@@ -6,7 +6,7 @@ import contextlib
 import json
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,12 +47,17 @@ class Control:
             "plug": self._plug,
         }
 
+    @property
+    def requests(self) -> Sequence[str]:
+        """Return what can be asked for."""
+        return tuple(self._doings)
+
     def do(self, request: dict[str, Any]) -> dict[str, Any]:
         """Do one request; the answer has `ok`, and `result` or `error`."""
         try:
             doing = self._doings.get(str(request.get("do")))
             if doing is None:
-                raise WrongRequest(f"no such request; known: {', '.join(self._doings)}")
+                raise WrongRequest(f"no such request; known: {', '.join(self.requests)}")
             return {"ok": True, "result": doing(request)}
         except WrongRequest as error:
             return {"ok": False, "error": str(error)}
