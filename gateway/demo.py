@@ -63,6 +63,15 @@ class Seen:
 
     states: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     metrics: dict[str, float] = field(default_factory=dict)
+    rate: float = 0.0
+    _before: tuple[float, float] = (0.0, 0.0)
+
+    def take_metrics(self, metrics: dict[str, float], now: float) -> None:
+        """Take a reading of /metrics; the exchanges per second follow from two of them."""
+        total, (before, at) = metrics.get('tosvert_line_exchanges_total{line="a"}', 0.0), self._before
+        if at:
+            self.rate = (total - before) / (now - at)
+        self.metrics, self._before = metrics, (total, now)
 
 
 def run(ports: Ports, seconds: float | None = None) -> None:
@@ -184,14 +193,16 @@ async def _show(
     loop = asyncio.get_running_loop()
     end = None if seconds is None else loop.time() + seconds
     console = Console()
+    for line in _hints(ports):
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
     try:
         with Live(console=console, refresh_per_second=4, transient=False) as live:
             while not stop.is_set() and (end is None or loop.time() < end):
                 if process.returncode is not None:
                     raise GatewayError(f"the gateway ended with exit code {process.returncode}:\n{_text(log)}")
                 with contextlib.suppress(OSError):
-                    seen.metrics = await loop.run_in_executor(None, _read_metrics, ports.web)
-                live.update(_picture(ports, images, seen))
+                    seen.take_metrics(await loop.run_in_executor(None, _read_metrics, ports.web), loop.time())
+                live.update(_picture(images, seen))
                 with contextlib.suppress(TimeoutError):
                     await asyncio.wait_for(stop.wait(), REFRESH)
     finally:
@@ -208,7 +219,7 @@ def _subscriber(port: int, seen: Seen) -> mqtt.Client:
 
     def on_message(_client: mqtt.Client, _data: Any, message: mqtt.MQTTMessage) -> None:
         with contextlib.suppress(ValueError):
-            seen.states[message.topic.split("/")[2]] = json.loads(message.payload)
+            seen.states[message.topic.split("/")[2]] = json.loads(message.payload, parse_float=str)
 
     client.on_connect = lambda client, *_: client.subscribe("tosvert/demo/+/state")
     client.on_message = on_message
@@ -224,7 +235,7 @@ def _read_metrics(port: int) -> dict[str, float]:
     return {name: float(value) for name, value in pairs}
 
 
-def _picture(ports: Ports, images: list[DriveImage], seen: Seen) -> Group:
+def _picture(images: list[DriveImage], seen: Seen) -> Group:
     table = Table(title="tosvert-gateway demo: three simulated drives on one RS485 line, 19200 8E1")
     for heading in ("drive", "unit id", "value", "now", "unit", "in words"):
         table.add_column(heading, justify="right" if heading in ("now", "unit id") else "left")
@@ -240,25 +251,22 @@ def _picture(ports: Ports, images: list[DriveImage], seen: Seen) -> Group:
             unit_id = str(image.drive.unit) if row == 0 else ""
             table.add_row(label, unit_id, name, "-" if value is None else str(value), image.unit(name), words)
         table.add_section()
-    return Group(table, Text(_below(ports, seen)))
-
-
-def _below(ports: Ports, seen: Seen) -> str:
     load = seen.metrics.get('tosvert_line_load_ratio{line="a"}', 0.0)
-    rate = seen.metrics.get('tosvert_line_exchanges_per_second{line="a"}', 0.0)
-    return "\n".join(
-        [
-            f"line a: load {load:.0%}, {rate:.0f} exchanges a second",
-            f"MQTT 127.0.0.1:{ports.mqtt}: tosvert/demo/<drive>/<value>, tosvert/demo/<drive>/state (JSON)",
-            f"MODBUS-TCP 127.0.0.1:{ports.modbus_tcp}: units 1-3 at the drives' own numbers (FD00H = 64768 is the",
-            "  output frequency), unit 255 is the compact map: 16 registers a drive from 0",
-            f"http://127.0.0.1:{ports.web}/healthz and /metrics",
-            "Try from another terminal:",
-            f"  mosquitto_sub -p {ports.mqtt} -t 'tosvert/demo/#' -v",
-            f"  mbpoll -m tcp -p {ports.modbus_tcp} -a 1 -0 -t 4:hex -r 64768 -c 2 -1 127.0.0.1",
-            "  python3 -c \"from pymodbus.client import ModbusTcpClient as C; c = C('127.0.0.1', "
-            f"port={ports.modbus_tcp}); c.connect(); print(c.read_holding_registers(0, count=48, "
-            'device_id=255).registers)"',
-            "Ctrl-C ends everything.",
-        ]
+    return Group(table, Text(f"line a: load {load:.0%}, {seen.rate:.0f} exchanges a second; Ctrl-C ends everything"))
+
+
+def _hints(ports: Ports) -> Iterator[str]:
+    """Yield where to look, and three commands to try."""
+    yield f"MQTT 127.0.0.1:{ports.mqtt}: tosvert/demo/<drive>/<value>, tosvert/demo/<drive>/state (JSON)"
+    yield f"MODBUS-TCP 127.0.0.1:{ports.modbus_tcp}: units 1-3 at the drives' own numbers (FD00H = 64768 is the"
+    yield "  output frequency, FD01H the status); unit 255 is the compact map: 16 registers a drive from 0"
+    yield f"HTTP http://127.0.0.1:{ports.web}/healthz and /metrics"
+    yield "Try from another terminal:"
+    yield f"  mosquitto_sub -p {ports.mqtt} -t 'tosvert/demo/#' -v"
+    yield f"  mbpoll -m tcp -p {ports.modbus_tcp} -a 1 -0 -t 4:hex -r 64768 -c 2 -1 127.0.0.1"
+    yield (
+        "  python3 -c \"from pymodbus.client import ModbusTcpClient as C; c = C('127.0.0.1', "
+        f"port={ports.modbus_tcp}); c.connect(); "
+        'print(c.read_holding_registers(0, count=48, device_id=255).registers)"'
     )
+    yield "(the last one by .venv/bin/python3, where pymodbus is installed)"

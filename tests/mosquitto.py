@@ -105,10 +105,13 @@ class Mosquitto:
         process, self._process = self._process, None
         if process is None:
             return
-        if process.poll() is None:
-            process.send_signal(signal.SIGCONT)
-            process.send_signal(number)
-        process.wait(LIMIT)
+        for _ in range(int(LIMIT)):
+            if process.poll() is None:
+                process.send_signal(signal.SIGCONT)
+                process.send_signal(number)
+            with contextlib.suppress(subprocess.TimeoutExpired):  # a signal while it starts up is forgotten by it
+                process.wait(1)
+                break
         if self._reader is not None:
             self._reader.join(LIMIT)
         if process.stderr is not None:

@@ -94,5 +94,5 @@ def test_help_and_version() -> None:
     shown = command("--help").stdout
     for name in ("run", "check", "map", "schema", "registers", "simulate", "demo"):
         assert name in shown
-    assert "Not a safety function" in shown
+    assert "Not a safety" in shown
     assert command("--version").stdout.startswith("tosvert-gateway ")

@@ -17,6 +17,7 @@ from gateway.errors import Refusal, Refused
 from gateway.protocol.pdu import Identify, Identity, ReadBlock, ReadWords, Reply, Request, Words
 from gateway.site import Drive, PollGroup
 
+FIRST_WITHIN = 0.5  # seconds after a drive is ready, for values that are read seldom
 RECHECK_EVERY = 60.0  # seconds between two looks at F875-F879, which somebody may change at the panel
 IDENTITY_REGISTERS = ("capacity_code", "cpu_version", "series_code")  # FB05, FE08, FB07
 
@@ -247,6 +248,8 @@ class DriveReader:
                 due = now + (offset + self._phase * group.period) % group.period if group.period else now
                 work = Work(Task.POLL, read.request, read)
                 jobs.append(Job(self.drive.name, work, group.period, due, due + group.period))
+                if due > now + FIRST_WITHIN:  # its place on the grid is far: the first value comes before
+                    jobs.append(Job(self.drive.name, work, None, now, now + FIRST_WITHIN))
         return jobs + self._checks(now, jobs)
 
     def _checks(self, now: float, jobs: Iterable[Job[Work]]) -> list[Job[Work]]:

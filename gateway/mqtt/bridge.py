@@ -107,6 +107,7 @@ class Bridge:
             client.tls_set_context(self._tls)
         client.on_connect = self._on_connect
         client.on_disconnect = self._on_disconnect
+        client.on_socket_close = lambda *_: self._detach()  # before the descriptor is gone
         return client
 
     # ---- connecting
@@ -196,12 +197,11 @@ class Bridge:
 
     def _drop(self) -> None:
         """Let go of the socket, if there is one."""
-        self._stats.is_connected = False
-        if self._socket is not None and self._loop is not None and self._socket.fileno() >= 0:
-            self._loop.remove_reader(self._socket)
-            self._loop.remove_writer(self._socket)
-        self._socket, self._is_writing = None, False
+        self._detach()
         self._client.disconnect()
+        left = self._client.socket()
+        if left is not None:
+            left.close()
 
     # ---- paho's side; all in the event loop
 
@@ -210,7 +210,6 @@ class Bridge:
             self._answer.set_result(code)
 
     def _on_disconnect(self, _client: Any, _data: Any, _flags: Any, code: ReasonCode, _properties: Any) -> None:
-        self._detach()
         if self._lost is not None and not self._lost.done():
             self._lost.set_result(code.getName())
 
