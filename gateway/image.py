@@ -6,16 +6,16 @@ an old number is never handed out as if it were new.
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from enum import Enum, IntEnum
 
 from gateway.drives.register import Derived
+from gateway.segment import NEVER, Segment
 from gateway.site import Drive, Point
 
-NEVER = float("-inf")
+__all__ = ["NEVER", "DriveImage", "Image", "LinkState", "Listener", "Missing", "Quality", "Sample"]
 
 
 class Quality(IntEnum):
@@ -71,22 +71,6 @@ class Sample:
     wall: float
 
 
-@dataclass(slots=True)
-class _Segment:
-    """Consecutive communication numbers: their words as they stand on a MODBUS wire, and their times."""
-
-    start: int
-    words: bytearray
-    read_at: array[float]
-    expires: array[float]
-
-    def __init__(self, start: int, count: int) -> None:
-        self.start = start
-        self.words = bytearray(2 * count)
-        self.read_at = array("d", [NEVER] * count)
-        self.expires = array("d", [NEVER] * count)
-
-
 Listener = Callable[["DriveImage", Sequence[str]], None]
 
 
@@ -101,25 +85,29 @@ class DriveImage:
         self.reason = "not heard yet"
         self.identity: Mapping[str, str] = {}
         self.bases: dict[str, Decimal] = {}
-        self.version = 0
+        self.version = 0  # of the words: one more with each answer
+        self.revision = 0  # of words and link: one more with each change of either
         self.changed_at = NEVER  # monotonic time of the last answer
+        self._unreadable: Missing | None = Missing.NOT_FRESH  # why the link lets nothing be read
         self._listeners: list[Listener] = []
         self._wall_offset = 0.0  # UTC minus monotonic seconds at the last answer
-        self._at: dict[int, tuple[_Segment, int]] = {}
         self._name_at = {point.register.address: name for name, point in self.points.items()}
+        self._segments: list[Segment] = []
+        self._at: dict[int, tuple[Segment, int]] = {}
         self._swept: dict[str, Quality] = dict.fromkeys(self.points, Quality.NEVER_READ)
         self._lay_out()
 
     def _lay_out(self) -> None:
-        addresses = sorted(self._name_at)
-        run: list[int] = []
-        for address in [*addresses, -1]:
-            if run and address != run[-1] + 1:
-                segment = _Segment(run[0], len(run))
-                for offset, member in enumerate(run):
-                    self._at[member] = (segment, offset)
-                run = []
-            run.append(address)
+        """Make a segment of each run of numbers."""
+        runs: list[list[int]] = []
+        for address in sorted(self._name_at):
+            if not runs or address != runs[-1][-1] + 1:
+                runs.append([])
+            runs[-1].append(address)
+        for run in runs:
+            segment = Segment(len(run))
+            self._segments.append(segment)
+            self._at.update((address, (segment, offset)) for offset, address in enumerate(run))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -132,20 +120,16 @@ class DriveImage:
 
     def apply(self, words: Iterable[tuple[int, int]], now: float, wall: float) -> None:
         """Take the (communication number, word) pairs of one answer; what is no point is passed over."""
-        names = []
-        for address, word in words:
-            name = self._name_at.get(address)
-            if name is None:
-                continue
+        answer = [(self._name_at[address], address, word) for address, word in words if address in self._name_at]
+        for name, address, word in answer:
             point = self.points[name]
             segment, offset = self._at[address]
-            segment.words[2 * offset : 2 * offset + 2] = (word & point.register.mask).to_bytes(2, "big")
-            segment.read_at[offset] = now
-            segment.expires[offset] = now + point.max_age
-            names.append(name)
+            segment.put(offset, word & point.register.mask, now, now + point.max_age)
         self.changed_at = now
         self._wall_offset = wall - now
         self.version += 1
+        self.revision += 1
+        names = [name for name, _, _ in answer]
         read = set(names)
         names += [d.name for d in self.derived.values() if d.of in read and d.base in self.bases]
         for name in names:
@@ -157,9 +141,12 @@ class DriveImage:
         if (link, reason) == (self.link, self.reason):
             return
         self.link, self.reason = link, reason
+        self.revision += 1
+        self._unreadable = None
         if not link.is_connected:
-            for segment, offset in self._at.values():
-                segment.expires[offset] = NEVER
+            self._unreadable = Missing.LINE_DOWN if link is LinkState.LINE_DOWN else Missing.NOT_FRESH
+            for segment in self._segments:
+                segment.end_freshness()
         self._tell(())
 
     def sweep(self, now: float) -> None:
@@ -184,13 +171,27 @@ class DriveImage:
             return Missing.UNMAPPED
         segment, offset = found
         end = offset + count
-        if end > len(segment.expires):
+        if end > segment.count:
             return Missing.UNMAPPED
-        if self.link is LinkState.LINE_DOWN:
-            return Missing.LINE_DOWN
-        if not self.link.is_connected or min(segment.expires[offset:end]) < now:
+        if self._unreadable is not None:
+            return self._unreadable
+        if segment.fresh_until < now and not segment.is_fresh(offset, end, now):
             return Missing.NOT_FRESH
-        return bytes(segment.words[2 * offset : 2 * end])
+        return segment.words[2 * offset : 2 * end]
+
+    def worst_quality(self, now: float) -> Quality:
+        """Return the worst quality of all values."""
+        if not all(segment.is_read() for segment in self._segments):
+            return Quality.NEVER_READ
+        if not self.link.is_connected:
+            return Quality.OFFLINE
+        are_fresh = all(segment.is_fresh(0, segment.count, now) for segment in self._segments)
+        return Quality.GOOD if are_fresh else Quality.STALE
+
+    def next_expiry(self, now: float) -> float:
+        """Return when the first of the values that are fresh now turns stale; infinity when none is."""
+        times = (when for segment in self._segments for when in segment.expires if when >= now)
+        return min(times, default=float("inf"))
 
     def quality(self, name: str, now: float) -> Quality:
         """Return the quality of a value."""
