@@ -27,7 +27,7 @@ TOLD = {"vendor": "TOSHIBA", "device": "VFNC3-2007P", "version": "0102"}
 
 async def until(condition: Callable[[], bool]) -> None:
     """Let the loop run until something holds; the caller's time limit ends a vain wait."""
-    while not condition():  # noqa: ASYNC110 - what is waited for is the loop's own progress
+    while not condition():
         await asyncio.sleep(0)
 
 

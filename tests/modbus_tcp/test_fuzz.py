@@ -26,7 +26,7 @@ FRAMES = (
 @pytest.mark.hazard("H26")
 async def test_a_hundred_thousand_damaged_requests() -> None:
     """Bits flipped, bytes lost, added and doubled, in pieces: what is whole is answered, what is no frame closes."""
-    rng = random.Random(SEED)  # noqa: S311 - a seed, so that a failure comes again
+    rng = random.Random(SEED)
     rig = Rig()
     closed = answered = 0
     for _ in range(REQUESTS):
