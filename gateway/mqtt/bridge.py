@@ -1,341 +1,270 @@
-"""The bridge to the broker: connects, says what is new at once, and says everything anew after each connect."""
+"""The bridge to an MQTT broker: connects by paho on the event loop, and carries what the publisher sends."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import random
 import socket
-import ssl
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any, cast
-from urllib.parse import urlsplit
 
-from paho.mqtt import client as paho
-from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersion
+from paho.mqtt.client import Client
+from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
-from paho.mqtt.reasoncodes import ReasonCode
 
 from gateway.clock import Clock
-from gateway.config import MqttSection, Secret
+from gateway.config import MqttSection
 from gateway.errors import BadConfig
-from gateway.image import DriveImage, Image, Sample
+from gateway.image import DriveImage, Image
 from gateway.metrics import MqttStats
-from gateway.mqtt import payload, topics
-from gateway.mqtt.report import Report
+from gateway.mqtt import access, payload, reasons, topics
+from gateway.mqtt.connection import LEAVE_LIMIT, BrokerAway, Connection, LastError, Made, close
+from gateway.mqtt.publisher import Publisher
 
 log = logging.getLogger("gateway.mqtt")
 
-CONNECT_TIMEOUT = 5.0  # seconds for TCP and TLS
-ANSWER_TIMEOUT = 10.0  # seconds for the broker to accept
-GOODBYE_TIMEOUT = 2.0  # seconds to say goodbye in
-MISC_EVERY = 1.0  # seconds between two looks at the keep-alive
-LARGEST_PACKET = 64 * 1024  # bytes that the broker may send in one packet (MQTT 5)
-RECEIVE_MAXIMUM = 20  # messages that the broker may have under way (MQTT 5)
-STABLE_AFTER = 10.0  # seconds connected, after which the back-off begins anew
-
-REMEDIES = {
-    "Bad user name or password": "look at mqtt.user and mqtt.password",
-    "Not authorized": "the broker's access list must let this user publish under mqtt.base",
-    "Unsupported protocol version": 'set mqtt.version = "3.1.1"',
-    "Client identifier not valid": "set mqtt.client_id",
-}
-
-
-class _Outlet:
-    """One drive on its way to the broker: its topics and what is news."""
-
-    def __init__(self, image: DriveImage, section: MqttSection, gateway: str) -> None:
-        self.image = image
-        self.topics = topics.of_drive(section.base, gateway, image)
-        self.state = payload.StateWriter(image)
-        self._section = section
-        self.report = Report(image, section.deadband, section.longest_silence)
-        self.late: set[str] = set()  # values that could not be sent when they were news
-
-
-    def forget(self) -> None:
-        """Forget what was published: everything is news again."""
-        self.report = Report(self.image, self._section.deadband, self._section.longest_silence)
-        self.late.clear()
+CONNECT_LIMIT = 5.0  # seconds, for TCP and for the TLS handshake each
+TEND_EVERY = 1.0  # seconds between looks at the keep-alive
+STEPS = 4  # owed values sent at a stretch: some 0.2 ms, so that a line's timing does not suffer
+LARGEST_PACKET = 64 * 1024  # bytes that the broker may send us in one packet
+RECEIVE_MAXIMUM = 20  # messages of QoS 1 and 2 that may be under way to us
+IN_FLIGHT = 20  # messages of QoS 1 and 2 under way to the broker; Mosquitto takes no more as installed
+SEND_BUFFER = 256 * 1024  # bytes; what the kernel holds for a broker that does not read, no queue can bound
 
 
 class Bridge:
-    """One broker. Messages go out in the call that brings the news; while the socket is full, the latest wins.
+    """Publishes the image to one broker, from `run` until it is cancelled.
 
-    Nothing is queued for an absent broker: after each connect the whole state is published.
+    While the broker is away nothing is kept for it: after each connect the whole image is published as it is then.
     """
 
-    def __init__(self, section: MqttSection, gateway: str, image: Image, stats: MqttStats, clock: Clock) -> None:
+    def __init__(
+        self,
+        section: MqttSection,
+        gateway: str,
+        image: Image,
+        stats: MqttStats,
+        clock: Clock,
+        chance: random.Random | None = None,
+    ) -> None:
+        access.read(section)  # what is missing or wrong now is better known before anything starts
         self._section = section
+        self._gateway = gateway
         self._stats = stats
         self._clock = clock
-        self._status = topics.status(section.base, gateway)
-        self._outlets = {drive.drive.name: _Outlet(drive, section, gateway) for drive in image.drives}
-        self._has_values = "values" in section.publish
-        self._has_state = "state" in section.publish
-        self._client_id = section.client_id or f"{section.base.replace('/', '-')}-{gateway}"
-        self._tls = _tls_context(section) if section.url.startswith("mqtts:") else None
-        self._user = section.user.reveal() if isinstance(section.user, Secret) else section.user
-        self._password = section.password.reveal() if section.password else None
-        self._client = self._make_client()
-        self._socket: socket.socket | ssl.SSLSocket | None = None
-        self._is_writing = False
-        self._answer: asyncio.Future[ReasonCode] | None = None
-        self._lost: asyncio.Future[str] | None = None
-        self._loop: asyncio.AbstractEventLoop | None = None
-        image.subscribe(self._on_image)
-
-    def _make_client(self) -> paho.Client:
-        """Make a paho client for one connection: a used one would send again what an old one left."""
-        section = self._section
-        version = MQTTProtocolVersion.MQTTv5 if section.version == "5" else MQTTProtocolVersion.MQTTv311
-        client = paho.Client(
-            CallbackAPIVersion.VERSION2,
-            self._client_id,
-            clean_session=None if section.version == "5" else True,
-            protocol=version,
-            reconnect_on_failure=False,
-        )
-        client.connect_timeout = CONNECT_TIMEOUT
-        client.max_queued_messages_set(section.queue)
-        client.will_set(self._status, payload.OFFLINE, qos=max(1, section.qos), retain=True)
-        if self._user is not None:
-            client.username_pw_set(self._user, self._password)
-        if self._tls is not None:
-            client.tls_set_context(self._tls)
-        client.on_connect = self._on_connect
-        client.on_disconnect = self._on_disconnect
-        client.on_socket_close = lambda *_: self._detach()  # before the descriptor is gone
-        return client
-
-    # ---- connecting
+        self._chance = chance or random.SystemRandom()
+        self._publisher = Publisher(section, gateway, image, stats)
+        self._connection: Connection | None = None
+        self._in_flight = IN_FLIGHT
+        self._pause = 0.0
+        self._told = ""
+        image.subscribe(self._on_change)
 
     async def run(self) -> None:
-        """Keep the broker told until cancelled; then say goodbye."""
-        self._loop = asyncio.get_running_loop()
-        wait = self._section.reconnect_after
-        is_told = False
+        """Connect, publish and connect again until cancelled; whatever else ends it is an error of ours."""
+        while True:
+            began = self._clock.now()
+            try:
+                await self._connect_once()
+            except BrokerAway as error:
+                self._tell_away(str(error))
+            if self._clock.now() - began > self._section.reconnect_at_most:
+                self._pause = 0.0
+            await asyncio.sleep(self._next_pause())
+
+    def _next_pause(self) -> float:
+        """Return a longer pause than before, by chance, so that not all clients come back at once."""
+        least, most = self._section.reconnect_after, self._section.reconnect_at_most
+        self._pause = min(most, self._chance.uniform(least, 3 * max(self._pause, least)))
+        return self._pause
+
+    def _tell_away(self, reason: str) -> None:
+        """Log why the broker is away, the same reason once only."""
+        level = logging.DEBUG if reason == self._told else logging.WARNING
+        self._told = reason
+        log.log(level, "%s: %s; trying again", self._section.url, reason)
+
+    async def _connect_once(self) -> None:
+        """Serve one connection to its end, which BrokerAway tells."""
+        made = await _in_thread(lambda: _connect(self._section, self._gateway, self._in_flight))
+        connection = None
         try:
-            while True:
-                connected_at = self._clock.now()
-                reason = await self._connect()
-                if reason is None:
-                    is_told = False
-                    reason = await self._stay_connected()
-                    log.warning("MQTT: connection to %s lost: %s", self._section.url, reason)
-                elif not is_told:
-                    is_told = True
-                    log.warning("MQTT: %s: %s; trying again, silently", self._section.url, reason)
-                self._drop()
-                if self._clock.now() - connected_at > STABLE_AFTER:
-                    wait = self._section.reconnect_after
-                await asyncio.sleep(wait * random.uniform(0.75, 1.25))  # noqa: S311  (not all gateways at once)
-                wait = min(2 * wait, self._section.reconnect_at_most)
+            connection = Connection(made, self._section, self._stats)
+            await connection.accepted()
+            self._respect(connection.receive_maximum)
+            self._begin(connection)
+            await self._serve(connection)
+        except asyncio.CancelledError:
+            if connection is not None and connection is self._connection:
+                await self._leave(connection)
+            raise
         finally:
-            await self._say_goodbye()
+            self._connection, self._stats.is_connected = None, False
+            self._stats.waiting = 0
+            if connection is None:
+                close(made.client)
+            else:
+                connection.abort()
 
-    async def _connect(self) -> str | None:
-        """Connect; return None, or why not. TCP and TLS block in paho: they run in a thread."""
-        loop = asyncio.get_running_loop()
-        url = urlsplit(self._section.url)
-        port = url.port or (8883 if url.scheme == "mqtts" else 1883)
-        options: dict[str, Any] = {}
-        if self._section.version == "5":
-            properties: Any = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
-            properties.MaximumPacketSize = LARGEST_PACKET
-            properties.ReceiveMaximum = RECEIVE_MAXIMUM
-            options = {"clean_start": True, "properties": properties}
-        self._answer, self._lost = loop.create_future(), loop.create_future()
-        client = self._client = self._make_client()
-        ends: list[asyncio.Future[Any]] = [self._answer, self._lost]
-        try:
-            await loop.run_in_executor(
-                None, lambda: client.connect(url.hostname or "", port, int(self._section.keep_alive), **options)
-            )
-        except (OSError, ValueError) as error:
-            return str(error)
-        self._attach()
-        await asyncio.wait(ends, timeout=ANSWER_TIMEOUT, return_when=asyncio.FIRST_COMPLETED)
-        if not any(end.done() for end in ends):
-            return "no answer to the connect; is it a broker?"
-        if not self._answer.done():
-            return f'closed by the broker; if it knows no MQTT 5, set mqtt.version = "3.1.1" ({self._lost.result()})'
-        code = self._answer.result()
-        if code.is_failure:
-            name = code.getName()
-            return f"refused: {name}; {REMEDIES.get(name, 'see the log of the broker')}"
-        return None
+    def _respect(self, receive_maximum: int) -> None:
+        """See that no more is under way than the broker takes; paho wants to know that before it connects."""
+        if self._section.qos and receive_maximum < self._in_flight:
+            self._in_flight = receive_maximum
+            raise BrokerAway(f"the broker takes {receive_maximum} messages at a time: connecting again by that rule")
 
-    async def _stay_connected(self) -> str:
-        """Publish the whole state, then serve the connection; return why it ended."""
-        log.info("MQTT: connected to %s", self._section.url)
+    def _begin(self, connection: Connection) -> None:
+        log.info("connected to %s", self._section.url)
+        self._told = ""
         self._stats.is_connected = True
         self._stats.connects += 1
-        self._send(self._status, payload.ONLINE, retain=True, qos=max(1, self._section.qos))
-        for outlet in self._outlets.values():
-            outlet.forget()
-            self._publish_drive(outlet)
-        self._watch_writing()
-        lost = self._lost
-        if lost is None:
-            raise AssertionError("connected without a connection")
-        while True:
-            await asyncio.wait([lost], timeout=MISC_EVERY)
-            if lost.done():
-                return lost.result()
-            self._guarded(self._client.loop_misc)
-            self._send_late()
-            self._watch_writing()
+        self._publisher.owe_everything()
+        self._connection = connection
 
-    def _attach(self) -> None:
-        self._socket = cast("socket.socket | ssl.SSLSocket | None", self._client.socket())
-        if self._socket is not None and self._loop is not None:
-            self._loop.add_reader(self._socket, self._readable)
-            self._watch_writing()
+    async def _serve(self, connection: Connection) -> None:
+        """Send what is owed, a little at a time, and keep the connection alive until it is lost."""
+        tend_at = self._clock.now() + TEND_EVERY
+        enough = connection.capacity // 2
+        while connection.lost is None:
+            now = self._clock.now()
+            if now >= tend_at:
+                tend_at = now + TEND_EVERY
+                connection.tend()
+            if not self._publisher.is_owing:
+                await connection.wait(TEND_EVERY)
+            elif connection.room < enough:
+                await connection.wait(TEND_EVERY, room=enough)
+            else:
+                self._publisher.settle(connection, now, STEPS)
+                connection.flush()
+                await asyncio.sleep(0)
+        raise BrokerAway(f"connection lost: {connection.lost}")
 
-    def _drop(self) -> None:
-        """Let go of the socket, if there is one."""
-        self._detach()
-        self._client.disconnect()
-        left = self._client.socket()
-        if left is not None:
-            left.close()
-
-    # ---- paho's side; all in the event loop
-
-    def _on_connect(self, _client: Any, _data: Any, _flags: Any, code: ReasonCode, _properties: Any) -> None:
-        if self._answer is not None and not self._answer.done():
-            self._answer.set_result(code)
-
-    def _on_disconnect(self, _client: Any, _data: Any, _flags: Any, code: ReasonCode, _properties: Any) -> None:
-        if self._lost is not None and not self._lost.done():
-            self._lost.set_result(code.getName())
-
-    def _detach(self) -> None:
-        """Stop watching a socket that paho has closed or is closing."""
-        if self._socket is not None and self._loop is not None:
-            self._loop.remove_reader(self._socket)
-            self._loop.remove_writer(self._socket)
-        self._socket, self._is_writing = None, False
-        self._stats.is_connected = False
-
-    def _readable(self) -> None:
-        self._guarded(self._client.loop_read)
-        while isinstance(self._socket, ssl.SSLSocket) and self._socket.pending():
-            self._guarded(self._client.loop_read)
-        self._watch_writing()
-
-    def _writable(self) -> None:
-        self._guarded(self._client.loop_write)
-        if not self._client.want_write():
-            self._send_late()
-        self._watch_writing()
-
-    def _guarded(self, step: Callable[[], MQTTErrorCode]) -> None:
-        """Run a step of paho; an error of ours in a callback ends the bridge, and so the process (H18)."""
+    def _on_change(self, image: DriveImage, names: Sequence[str]) -> None:
+        """Publish what is news, before the answer's call chain ends."""
+        connection = self._connection
+        if connection is None:
+            return
         try:
-            step()
+            self._publisher.tell(connection, image, names, self._clock.now())
+            connection.flush()
         except Exception as error:
-            if self._lost is None or self._lost.done():
-                raise
-            self._lost.set_exception(error)
+            connection.fail(error)
+        if self._publisher.is_owing:
+            connection.wake()
 
-    def _watch_writing(self) -> None:
-        """Ask to be called when the socket takes more, as long as paho has more."""
-        if self._socket is None or self._loop is None:
-            return
-        wants = self._client.want_write()
-        if wants and not self._is_writing:
-            self._loop.add_writer(self._socket, self._writable)
-        elif not wants and self._is_writing:
-            self._loop.remove_writer(self._socket)
-        self._is_writing = wants
-
-    # ---- what is published
-
-    def _on_image(self, image: DriveImage, names: Sequence[str]) -> None:
-        if not self._stats.is_connected:
-            return
-        outlet = self._outlets[image.drive.name]
-        if names:
-            self._publish_values(outlet, names)
-        else:
-            self._publish_drive(outlet)
-        self._watch_writing()
-
-    def _publish_drive(self, outlet: _Outlet) -> None:
-        """Publish availability, and whatever of the values is news."""
-        self._send(outlet.topics.availability, payload.presence(outlet.image.link.is_connected), retain=True)
-        self._publish_values(outlet, outlet.image.names, is_forced=True)
-
-    def _publish_values(self, outlet: _Outlet, names: Sequence[str], *, is_forced: bool = False) -> None:
-        now = self._clock.now()
-        image, report = outlet.image, outlet.report
-        if self._client.want_write():  # the socket is full: the latest goes out when it takes more
-            self._stats.dropped += len(names)
-            outlet.late.update(names)
-            self._stats.waiting = sum(len(other.late) for other in self._outlets.values())
-            return
-        has_news = is_forced
-        for name in names:
-            sample = image.sample(name, now)
-            if report.is_due(name, sample, now):
-                has_news = True
-                if self._has_values and not self._publish_value(outlet, name, sample):
-                    outlet.late.add(name)
-                    continue
-                report.note(name, sample, now)
-        if has_news and self._has_state:
-            self._send(outlet.topics.state, outlet.state.write(now))
-
-    def _publish_value(self, outlet: _Outlet, name: str, sample: Sample) -> bool:
-        """Publish a value's topics; False where paho took not all of them."""
-        named = outlet.topics.values[name]
-        is_sent = self._send(named.value, payload.value(outlet.image, name, sample))
-        if named.text is not None:
-            is_sent &= self._send(named.text, payload.text(outlet.image, name, sample))
-        if outlet.report.has_turned(name, sample.quality):
-            is_sent &= self._send(named.quality, sample.quality.word)
-        return is_sent
-
-    def _send_late(self) -> None:
-        for outlet in self._outlets.values():
-            if outlet.late:
-                names, outlet.late = tuple(outlet.late), set()
-                self._publish_values(outlet, names)
-        self._stats.waiting = sum(len(outlet.late) for outlet in self._outlets.values())
-
-    def _send(self, topic: str, text: str, *, retain: bool | None = None, qos: int | None = None) -> bool:
-        """Hand a message to paho, which writes it to the socket at once; False where it has too many already."""
-        result = self._client.publish(
-            topic, text, self._section.qos if qos is None else qos, self._section.retain if retain is None else retain
-        )
-        is_taken = result.rc == MQTTErrorCode.MQTT_ERR_SUCCESS
-        if is_taken:
-            self._stats.published += 1
-        else:
-            self._stats.dropped += 1
-        return is_taken
-
-    async def _say_goodbye(self) -> None:
-        """Say that the gateway is gone, and disconnect in order, in bounded time."""
-        if self._stats.is_connected:
-            self._send(self._status, payload.OFFLINE, retain=True, qos=max(1, self._section.qos))
-            self._watch_writing()
-            end = self._clock.now() + GOODBYE_TIMEOUT
-            while self._client.want_write() and self._clock.now() < end:  # noqa: ASYNC110  (paho has no event for it)
-                await asyncio.sleep(0.01)
-        self._drop()
+    async def _leave(self, connection: Connection) -> None:
+        """Say that the gateway goes, and disconnect; in bounded time, else the will says it."""
+        self._connection = None
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(LEAVE_LIMIT):
+                self._publisher.leave(connection, self._clock.now())
+                connection.flush()
+                await connection.leave()
 
 
-def _tls_context(section: MqttSection) -> ssl.SSLContext:
+def _connect(section: MqttSection, gateway: str, in_flight: int) -> Made:
+    """Connect TCP and TLS and send CONNECT, which blocks; BrokerAway says why not."""
     try:
-        context = ssl.create_default_context(cafile=section.tls.ca)
-        if section.tls.certificate is not None:
-            context.load_cert_chain(section.tls.certificate, section.tls.key)
-    except (OSError, ssl.SSLError) as error:
-        names = f"{section.tls.ca}, {section.tls.certificate}, {section.tls.key}"
-        raise BadConfig(f"mqtt.tls: {error} (of {names})") from error
-    return context
+        reach = access.read(section)  # anew for each connection: secrets and certificates may have been renewed
+        client, errors = _make_client(section, gateway, reach)
+        client.max_inflight_messages = in_flight
+        options: dict[str, Any] = {}
+        if section.version == "5":
+            options = {"clean_start": True, "properties": _connect_properties()}
+        client.connect(reach.host, reach.port, int(section.keep_alive), **options)
+        _set_up(client.socket())
+    except (OSError, ValueError, BadConfig) as error:
+        raise BrokerAway(reasons.of_error(str(error))) from error
+    return Made(client, errors, _Expiry if section.version == "5" else _no_expiry)
+
+
+def _make_client(section: MqttSection, gateway: str, reach: access.Access) -> tuple[Client, LastError]:
+    is_5 = section.version == "5"
+    client = Client(
+        CallbackAPIVersion.VERSION2,
+        client_id=section.client_id or f"{section.base.replace('/', '-')}-{gateway}",
+        clean_session=None if is_5 else True,
+        protocol=MQTTProtocolVersion.MQTTv5 if is_5 else MQTTProtocolVersion.MQTTv311,
+        reconnect_on_failure=False,  # or paho would reconnect on its own, blocking, from within loop_read
+    )
+    client.connect_timeout = CONNECT_LIMIT
+    client.will_set(topics.status(section.base, gateway), payload.OFFLINE, section.qos, retain=True)
+    if reach.user is not None:
+        client.username_pw_set(reach.user, reach.password)
+    if reach.tls is not None:
+        client.tls_set_context(reach.tls)
+    errors = LastError()
+    client.enable_logger(errors)
+    return client, errors
+
+
+def _connect_properties() -> Properties:
+    """Make the properties of CONNECT: nothing outlives the connection, and what comes in is bounded."""
+    properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+    properties.SessionExpiryInterval = 0
+    properties.ReceiveMaximum = RECEIVE_MAXIMUM
+    properties.MaximumPacketSize = LARGEST_PACKET
+    return properties
+
+
+def _set_up(sock: Any) -> None:
+    """Let small messages go at once, and few wait in the kernel."""
+    if sock is not None:
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+
+
+class _Expiry:
+    """A message expiry as paho wants it, packed once: Properties would pack it anew for every message."""
+
+    def __init__(self, seconds: int) -> None:
+        properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+        properties.MessageExpiryInterval = seconds
+        self._packed = properties.pack()  # type: ignore[no-untyped-call]
+
+    def pack(self) -> bytes:
+        """Return the bytes on the wire."""
+        return cast(bytes, self._packed)
+
+
+def _no_expiry(_seconds: int) -> None:
+    """Make no properties: MQTT 3.1.1 has none."""
+
+
+async def _in_thread(connect: Callable[[], Made]) -> Made:
+    """Connect in a thread of its own: the end of the daemon need not wait for it, as it would for an executor's."""
+    loop = asyncio.get_running_loop()
+    made: asyncio.Future[Made] = loop.create_future()
+
+    def deliver(result: Made | None, error: BaseException | None) -> None:
+        if made.cancelled():
+            if result is not None:
+                close(result.client)
+        elif result is not None:
+            made.set_result(result)
+        elif error is not None:
+            made.set_exception(error)
+
+    def work() -> None:
+        result, error = None, None
+        try:
+            result = connect()
+        except BaseException as raised:  # whatever it is, it belongs to the one who waits
+            error = raised
+        try:
+            loop.call_soon_threadsafe(deliver, result, error)
+        except RuntimeError:  # the loop is closed: nobody waits any longer
+            if result is not None:
+                close(result.client)
+
+    threading.Thread(target=work, name="mqtt-connect", daemon=True).start()
+    try:
+        return await made
+    except asyncio.CancelledError:
+        if made.done() and not made.cancelled() and made.exception() is None:
+            close(made.result().client)  # it was there already when the bridge was told to end
+        raise

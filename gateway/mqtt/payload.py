@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from datetime import UTC, datetime
 
 from gateway.image import DriveImage, Quality, Sample
+from gateway.mqtt.topics import has_text
 
 ONLINE = "online"
 OFFLINE = "offline"
@@ -33,9 +35,14 @@ def text(image: DriveImage, name: str, sample: Sample) -> str:
     return image.text(name, sample.word) or NO_BITS
 
 
+def left_behind(sample: Sample) -> Sample:
+    """Return what a sample is to others once the gateway has gone: whatever was read is offline."""
+    return replace(sample, quality=max(sample.quality, Quality.OFFLINE))
+
+
 def timestamp(wall: float) -> str:
     """Return UTC seconds as ISO 8601 with milliseconds: "2026-03-01T12:00:00.250Z"."""
-    return f"{datetime.fromtimestamp(wall, UTC):%Y-%m-%dT%H:%M:%S}.{int(wall % 1 * 1000):03d}Z"
+    return datetime.fromtimestamp(wall, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 def key(name: str) -> str:
@@ -53,13 +60,15 @@ class StateWriter:
         self._image = image
         self._parts: dict[str, tuple[object, str]] = {}
 
-    def write(self, now: float) -> str:
-        """Return the state as it is now."""
+    def write(self, now: float, *, is_leaving: bool = False) -> str:
+        """Return the state as it is now, or as it is for others once the gateway has gone."""
         image = self._image
         worst, newest = Quality.GOOD, 0.0
         parts = []
         for name in image.names:
             sample = image.sample(name, now)
+            if is_leaving:
+                sample = left_behind(sample)
             worst = max(worst, sample.quality)
             newest = max(newest, sample.wall)
             parts.append(self._part(name, sample))
@@ -79,7 +88,7 @@ class StateWriter:
         is_good = sample.quality is Quality.GOOD
         number = self._image.show(name, sample.word) if is_good else "null"
         part = f"{json.dumps(key(name))}:{number}"
-        if self._image.text(name, 0) is None:
+        if not has_text(self._image, name):
             return part
         words = json.dumps(text(self._image, name, sample), ensure_ascii=False) if is_good else "null"
         return f"{part},{json.dumps(key(name) + '_text')}:{words}"

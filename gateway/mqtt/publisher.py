@@ -1,0 +1,212 @@
+"""Decides which messages go to the broker, and sees to it that none is missing there for good.
+
+What is news is sent at once while there is room for it. What found no room is owed, and so is everything after a
+connect; owed values are sent as they are when their turn comes, so that an old number never follows a newer one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Protocol
+
+from gateway.config import MqttSection
+from gateway.image import DriveImage, Image, Quality, Sample
+from gateway.metrics import MqttStats
+from gateway.mqtt import payload, topics
+from gateway.mqtt.report import Report
+
+PER_VALUE = 3  # messages: number, words, quality
+FOR_EVER = 0  # seconds of expiry: the broker keeps it until told otherwise
+
+
+class Wire(Protocol):
+    """The way to the broker: takes messages in order, never waits."""
+
+    @property
+    def room(self) -> int:
+        """Return how many more messages may be on their way."""
+        ...
+
+    def send(self, topic: str, text: str, *, retain: bool, expiry: int) -> None:
+        """Take a message; the broker may forget it after `expiry` seconds (0: never)."""
+        ...
+
+
+class Outlet:
+    """One drive on its way to the broker: what was said of it, and what is owed."""
+
+    def __init__(self, image: DriveImage, section: MqttSection, gateway: str, stats: MqttStats) -> None:
+        self.image = image
+        self._stats = stats
+        self._topics = topics.of_drive(section.base, gateway, image)
+        self._report = Report(image, section.deadband, section.longest_silence)
+        self._state = payload.StateWriter(image) if "state" in section.publish else None
+        self._has_values = "values" in section.publish
+        self._retain = section.retain
+        self._expiry = {name: self._expiry_of(name, section.longest_silence) for name in image.names}
+        self._state_expiry = max(self._expiry.values())
+        self._qualities: dict[str, Quality] = {}
+        self._owed: dict[str, None] = {}
+        self._owes_state = False
+        self._owes_availability = False
+
+    def _expiry_of(self, name: str, longest_silence: float) -> int:
+        """Return when a number is to be forgotten: twice the time in which a value that is read is said again."""
+        derived = self.image.derived.get(name)
+        max_age = self.image.points[derived.of if derived else name].max_age
+        return math.ceil(2 * (longest_silence + max_age))
+
+    @property
+    def is_owing(self) -> bool:
+        """Say whether the broker lacks anything."""
+        return bool(self._owed) or self._owes_state or self._owes_availability
+
+    def owe_everything(self) -> None:
+        """Forget what was said: the broker may know nothing."""
+        self._qualities.clear()
+        self._owed = dict.fromkeys(self.image.names)
+        self._owes_state = self._state is not None
+        self._owes_availability = True
+
+    def tell(self, wire: Wire, names: Sequence[str], now: float) -> None:
+        """Send what is news after an answer, or, without names, after a change of the link."""
+        if not names:
+            self._owes_availability = True
+            self._settle_availability(wire)
+            names = [n for n in self.image.names if self._report.has_turned(n, self.image.quality(n, now))]
+        is_news = False
+        for name in names:
+            sample = self.image.sample(name, now)
+            if self._report.is_due(name, sample, now):
+                is_news = True
+                self._tell_value(wire, name, sample, now)
+        if is_news and self._state is not None:
+            self._tell_state(self._state, wire, now)
+
+    def _tell_value(self, wire: Wire, name: str, sample: Sample, now: float) -> None:
+        if not self._has_values or wire.room >= PER_VALUE:
+            self._send_value(wire, name, sample, now)
+        else:
+            self._owed[name] = None
+            self._stats.dropped += 1
+
+    def _tell_state(self, state: payload.StateWriter, wire: Wire, now: float) -> None:
+        if wire.room:
+            self._send_state(wire, state.write(now))
+        else:
+            self._owes_state = True
+            self._stats.dropped += 1
+
+    def settle(self, wire: Wire, now: float) -> None:
+        """Send one of the things that are owed: availability, then values, then the state."""
+        if self._owes_availability:
+            self._settle_availability(wire)
+        elif self._owed:
+            name = next(iter(self._owed))
+            self._send_value(wire, name, self.image.sample(name, now), now)
+        elif self._state is not None and self._owes_state:
+            self._send_state(wire, self._state.write(now))
+
+    def _settle_availability(self, wire: Wire) -> None:
+        if wire.room:
+            self._owes_availability = False
+            self._send_availability(wire, is_there=self.image.link.is_connected)
+
+    def _send_availability(self, wire: Wire, *, is_there: bool) -> None:
+        wire.send(self._topics.availability, payload.presence(is_there), retain=True, expiry=FOR_EVER)
+
+    def _send_value(self, wire: Wire, name: str, sample: Sample, now: float) -> None:
+        """Send a value's messages so that its quality never promises more than its number keeps."""
+        self._owed.pop(name, None)
+        self._report.note(name, sample, now)
+        if not self._has_values:
+            return
+        if sample.quality is not Quality.GOOD:
+            self._send_quality(wire, name, sample.quality)
+        named = self._topics.values[name]
+        self._send_text(wire, named.value, payload.value(self.image, name, sample), self._expiry[name])
+        if named.text is not None:
+            self._send_text(wire, named.text, payload.text(self.image, name, sample), self._expiry[name])
+        if sample.quality is Quality.GOOD:
+            self._send_quality(wire, name, sample.quality)
+
+    def _send_text(self, wire: Wire, topic: str, text: str, expiry: int) -> None:
+        """Send a number or words; nothing is sent as retained always, since that is what clears a topic."""
+        wire.send(topic, text, retain=self._retain or text == payload.NOTHING, expiry=expiry)
+
+    def _send_quality(self, wire: Wire, name: str, quality: Quality) -> None:
+        if self._qualities.get(name) is not quality:
+            self._qualities[name] = quality
+            wire.send(self._topics.values[name].quality, payload.WORDS[quality], retain=True, expiry=FOR_EVER)
+
+    def _send_state(self, wire: Wire, text: str) -> None:
+        self._owes_state = False
+        wire.send(self._topics.state, text, retain=self._retain, expiry=self._state_expiry)
+
+    def leave(self, wire: Wire) -> None:
+        """Say that the drive cannot be seen from here any more."""
+        self._send_availability(wire, is_there=False)
+
+    def clear(self, wire: Wire, now: float) -> None:
+        """Take back every number that was said to be good."""
+        for name in [name for name, quality in self._qualities.items() if quality is Quality.GOOD]:
+            self._send_value(wire, name, payload.left_behind(self.image.sample(name, now)), now)
+        if self._state is not None:
+            self._send_state(wire, self._state.write(now, is_leaving=True))
+
+
+class Publisher:
+    """All drives of a gateway on their way to one broker."""
+
+    def __init__(self, section: MqttSection, gateway: str, image: Image, stats: MqttStats) -> None:
+        self.status_topic = topics.status(section.base, gateway)
+        self._outlets = {drive.drive.name: Outlet(drive, section, gateway, stats) for drive in image.drives}
+        self._debtors: dict[str, Outlet] = {}
+        self._owes_birth = False
+
+    @property
+    def is_owing(self) -> bool:
+        """Say whether the broker lacks anything."""
+        return bool(self._debtors) or self._owes_birth
+
+    def owe_everything(self) -> None:
+        """Begin anew after a connect. The birth comes last: "online" vouches for all that was said before."""
+        for outlet in self._outlets.values():
+            outlet.owe_everything()
+        self._debtors = dict(self._outlets)
+        self._owes_birth = True
+
+    def tell(self, wire: Wire, image: DriveImage, names: Sequence[str], now: float) -> None:
+        """Send what is news of a drive; see `Outlet.tell`."""
+        name = image.drive.name
+        outlet = self._outlets[name]
+        outlet.tell(wire, names, now)
+        if outlet.is_owing:
+            self._debtors[name] = outlet
+
+    def settle(self, wire: Wire, now: float, steps: int) -> None:
+        """Send some of what is owed: at most `steps` values, so that the line need not wait long."""
+        for _ in range(steps):
+            if wire.room < PER_VALUE:
+                return
+            if not self._debtors:
+                self._settle_birth(wire)
+                return
+            name, outlet = next(iter(self._debtors.items()))
+            outlet.settle(wire, now)
+            if not outlet.is_owing:
+                del self._debtors[name]
+
+    def _settle_birth(self, wire: Wire) -> None:
+        if self._owes_birth:
+            self._owes_birth = False
+            wire.send(self.status_topic, payload.ONLINE, retain=True, expiry=FOR_EVER)
+
+    def leave(self, wire: Wire, now: float) -> None:
+        """Say that the gateway ends: first what takes the trust from everything, then the rest one by one."""
+        wire.send(self.status_topic, payload.OFFLINE, retain=True, expiry=FOR_EVER)
+        for outlet in self._outlets.values():
+            outlet.leave(wire)
+        for outlet in self._outlets.values():
+            outlet.clear(wire, now)
