@@ -322,7 +322,8 @@ def test_a_missing_device_is_waited_for(tmp_path: Path) -> None:
 
 def _answers(tcp: int, code: int) -> bool:
     with contextlib.suppress(OSError), ModbusTcpClient("127.0.0.1", port=tcp, timeout=2) as client:
-        return client.read_holding_registers(0xFD00, count=1, device_id=1).exception_code == code
+        answer = client.read_holding_registers(0xFD00, count=1, device_id=1)
+        return bool(answer.exception_code == code)
     return False
 
 

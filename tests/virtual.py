@@ -39,6 +39,11 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         return self._jumping.now
 
 
+def _wake(waiter: asyncio.Future[None]) -> None:
+    if not waiter.done():
+        waiter.set_result(None)
+
+
 class VirtualAlarm:
     """A timer of the virtual clock; exact."""
 
@@ -48,7 +53,7 @@ class VirtualAlarm:
         if when <= loop.time():
             return
         waiter = loop.create_future()
-        loop.call_at(when, lambda: waiter.done() or waiter.set_result(None))
+        loop.call_at(when, _wake, waiter)
         await waiter
 
     def close(self) -> None:

@@ -32,7 +32,7 @@ SELECTED = [1, 2, 3, 4, 5]
 class Bench:
     """One gateway line and the simulated line behind it."""
 
-    site: site.Site
+    configured: site.Site
     wire: Wire
     image: Image
     line_stats: LineStats = field(default_factory=LineStats)
@@ -97,7 +97,7 @@ def run(made: Callable[[], Bench], play: Callable[[Bench], Awaitable[None]]) -> 
 
     async def main() -> None:
         stage = made()
-        line = stage.site.lines[0]
+        line = stage.configured.lines[0]
         worker = LineWorker(
             line, stage.image.by_name, stage.line_stats, stage.drive_stats, virtual.VirtualClock(), stage.open
         )
