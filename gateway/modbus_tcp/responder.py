@@ -16,6 +16,7 @@ LEAST_LENGTH = 2  # unit id and function code
 MOST_LENGTH = 254  # unit id and a PDU of 253 bytes
 HEAD = struct.Struct(">HHH")
 READ = struct.Struct(">HHHBBHH")  # a whole request to read registers
+READ_SIZE = READ.size
 READ_LENGTH = 6  # unit id, function code, address, count
 ANSWER = struct.Struct(">HHHBBB")  # up to the byte count
 EXCEPTION = struct.Struct(">HHHBBB")  # a whole one
@@ -94,11 +95,11 @@ class Responder:
         answers: list[bytes] = []
         size = len(data)
         while len(answers) < limit and size - at >= MBAP_BEFORE_LENGTH_ENDS:
-            if size - at >= READ.size:
+            if size - at >= READ_SIZE:
                 transaction, protocol, length, unit, function, start, count = READ.unpack_from(data, at)
                 if length == READ_LENGTH and protocol == 0 and function in (3, 4):  # nearly all requests
                     answers.append(self._read(transaction, unit, function, start, count, now))
-                    at += READ.size
+                    at += READ_SIZE
                     continue
             transaction, protocol, length = HEAD.unpack_from(data, at)
             if protocol != 0 or not LEAST_LENGTH <= length <= MOST_LENGTH:

@@ -12,7 +12,7 @@ import pytest
 from gateway import site
 from gateway.image import DriveImage, Image, LinkState
 from gateway.metrics import Stats
-from gateway.modbus_tcp.gateway_unit import UNIT, GatewayUnit
+from gateway.modbus_tcp.gateway_unit import COUNTERS, COUNTERS_AT, UNIT, VALUES, GatewayUnit
 from gateway.modbus_tcp.mapping import MapDocument, as_csv, as_json, as_markdown, register_map
 from gateway.modbus_tcp.server import IDENTITY
 from gateway.site import Site
@@ -119,3 +119,14 @@ def test_markdown_has_a_table_a_unit_and_long_lists_once(document: MapDocument) 
     for block in text.split("\n\n"):
         lines = [line for line in block.splitlines() if line.startswith("|")]
         assert len({line.replace("\\|", "").count("|") for line in lines}) <= 1
+
+
+def test_the_manual_has_every_register_of_unit_255_at_its_place() -> None:
+    """docs/modbus-tcp.md: offsets of the compact map, addresses of the counters."""
+    text = (Path(__file__).parents[2] / "docs" / "modbus-tcp.md").read_text(encoding="utf-8")
+    for offset, name in enumerate(("link", "quality", "age", *VALUES, "present")):
+        assert f"\n| {offset} | `{name}` |" in text
+    address = COUNTERS_AT
+    for counter in COUNTERS:
+        assert f"\n| {address:04X}H | `{counter.name}` |" in text
+        address += 1 + counter.is_long
