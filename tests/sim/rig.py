@@ -30,7 +30,7 @@ class Rig:
     def __init__(self, model: str = "vf-nc3", *, seed: int = 1, **options: Any) -> None:
         """Switch a drive on at time 0; its undefined bits read 0 unless asked."""
         settings = DriveOptions(**({"number": 1, "stable_bits": True} | options))
-        self.drive = SimulatedDrive(models()[model], settings, Random(seed))  # noqa: S311  (reproducible noise)
+        self.drive = SimulatedDrive(models()[model], settings, Random(seed))
         self.now = 0.0
         self.delay = 0.0
 
