@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 
 from gateway.bus.line import Line
@@ -11,6 +12,8 @@ from gateway.metrics import LineStats
 from gateway.protocol.codec import Codec
 from gateway.protocol.pdu import Reply, Request
 from gateway.protocol.timing import LineTiming
+
+frames = logging.getLogger("gateway.bus.frames")
 
 EARLIEST = 0.85  # of the computed wire time; a line without parity has 10 bits where 11 are counted
 UNTIMED_AFTER = 2  # early answers in a row, none on time before: a pseudo-terminal without wire timing
@@ -52,6 +55,8 @@ class Exchanger:
         """
         frame = codec.encode(request)
         begun = await self._line.write(frame)
+        if is_traced := frames.isEnabledFor(logging.DEBUG):
+            frames.debug("tx %s", frame.hex(" "))
         self._stats.exchanges += 1
         self._stats.gaps.observe(begun - self._last_end)
         sent = begun + self._timing.request(len(frame))
@@ -64,6 +69,8 @@ class Exchanger:
             done = self._clock.now()
             self._last_end = done
             self._stats.busy += done - begun + self._timing.gap
+        if is_traced:
+            frames.debug("rx %s after %.1f ms", reply, (done - sent) * 1000)
         return Answered(reply, begun, sent, done)
 
     async def _answer(
