@@ -60,6 +60,7 @@ class Connection(asyncio.Protocol):
 
     def __init__(self, responder: Responder, clock: Clock, places: Places) -> None:
         self._respond = responder.respond
+        self._answer_again = responder.answer_again
         self._now = clock.now
         self._places = places
         self._transport: asyncio.Transport
@@ -81,6 +82,13 @@ class Connection(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Answer what is whole by now."""
+        if not self._data and not self._is_waiting:
+            now = self._now()
+            answer = self._answer_again(data, now)
+            if answer is not None:  # nearly always: a lone request that was asked before
+                self._heard_at = now
+                self._transport.write(answer)
+                return
         self._data = self._data[self._at :] + data if self._data else data
         self._at = 0
         if not self._is_waiting:

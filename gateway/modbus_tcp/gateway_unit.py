@@ -53,7 +53,7 @@ COUNTERS = (
     Counter("lines", "RS485 lines configured"),
     Counter("lines_up", "RS485 lines whose port is open"),
     Counter("exchanges", "exchanges on all lines", is_long=True),
-    Counter("errors", "failed exchanges on all lines", is_long=True),
+    Counter("errors", "errors of every kind on all lines", is_long=True),
     Counter("mqtt_connected", "1 while connected to the broker"),
     Counter("tcp_connections", "MODBUS-TCP connections open"),
     Counter("tcp_requests", "MODBUS-TCP requests answered", is_long=True),

@@ -11,15 +11,14 @@ from gateway.image import LinkState, Missing
 from gateway.metrics import TcpStats
 
 # MODBUS Messaging on TCP/IP Implementation Guide V1.0b, 3.1.3: transaction, protocol, length, unit; then the PDU.
-MBAP_BEFORE_LENGTH_ENDS = 6  # bytes; the length counts what stands behind it, the unit id first
+TRANSACTION = 2  # bytes
+HEAD = struct.Struct(">HH")  # protocol and length; the length counts what stands behind it, the unit id first
+HEAD_END = 6  # bytes, with the transaction
 LEAST_LENGTH = 2  # unit id and function code
 MOST_LENGTH = 254  # unit id and a PDU of 253 bytes
-HEAD = struct.Struct(">HHH")
-READ = struct.Struct(">HHHBBHH")  # a whole request to read registers
-READ_SIZE = READ.size
-READ_LENGTH = 6  # unit id, function code, address, count
-ANSWER = struct.Struct(">HHHBBB")  # up to the byte count
-EXCEPTION = struct.Struct(">HHHBBB")  # a whole one
+READ = struct.Struct(">BHH")  # PDU of a request to read registers
+UNIT_AT = 4  # bytes behind the transaction; the function code follows
+READ_END = 12  # bytes of such a request, from transaction to count
 
 READ_HOLDING_REGISTERS = 0x03
 READ_INPUT_REGISTERS = 0x04
@@ -27,6 +26,7 @@ ENCAPSULATED_INTERFACE = 0x2B
 IS_EXCEPTION = 0x80
 MOST_REGISTERS = 125  # MODBUS Application Protocol V1.1b3, 6.3
 ADDRESSES = 0x10000
+KNOWN_AT_MOST = 1024  # requests; a client that asks for everything does not fill the memory
 
 
 class ExceptionCode(IntEnum):
@@ -64,6 +64,10 @@ class Unit(Protocol):
         ...
 
 
+Read = Callable[[int, int, float], bytes | Missing]
+Known = tuple[Read, int, int, bytes]
+"""A request to read that was answered before: who reads, start, count, and the answer up to its words."""
+
 Identify = Callable[[bytes, Mapping[str, str]], bytes | ExceptionCode]
 """Answers a request PDU of function 43 from an identity: the PDU of the answer, or the exception."""
 
@@ -82,68 +86,79 @@ Turn = tuple[bytes, int, Then]
 
 
 class Responder:
-    """Answers for all connections of a server; it keeps no state of any of them."""
+    """Answers for all connections of a server; it keeps no state of any of them.
+
+    Masters ask the same again and again: a read that was answered once is known by its bytes.
+    """
 
     def __init__(self, units: Mapping[int, Unit], identify: Identify, stats: TcpStats) -> None:
         self._units = units
         self._identify = identify
         self._requests = stats.requests
         self._exceptions = stats.exceptions
+        self._known: dict[bytes, Known] = {}
+
+    def answer_again(self, data: bytes, now: float) -> bytes | None:
+        """Answer a lone read that was answered before, without taking it apart; None where `respond` has to."""
+        known = self._known.get(data[TRANSACTION:])
+        if known is None:
+            return None
+        read, start, count, head = known
+        words = read(start, count, now)
+        if not isinstance(words, bytes):
+            return None
+        self._requests[head[UNIT_AT + 1]] += 1
+        return data[:TRANSACTION] + head + words
 
     def respond(self, data: bytes, at: int, limit: int, now: float) -> Turn:
         """Answer the whole requests that stand in `data` from `at`, `limit` of them at most, in their order."""
         answers: list[bytes] = []
         size = len(data)
-        while len(answers) < limit and size - at >= MBAP_BEFORE_LENGTH_ENDS:
-            if size - at >= READ_SIZE:
-                transaction, protocol, length, unit, function, start, count = READ.unpack_from(data, at)
-                if length == READ_LENGTH and protocol == 0 and function in (3, 4):  # nearly all requests
-                    answers.append(self._read(transaction, unit, function, start, count, now))
-                    at += READ_SIZE
-                    continue
-            transaction, protocol, length = HEAD.unpack_from(data, at)
+        while len(answers) < limit and size - at >= HEAD_END:
+            behind = at + TRANSACTION
+            protocol, length = HEAD.unpack_from(data, behind)
             if protocol != 0 or not LEAST_LENGTH <= length <= MOST_LENGTH:
                 return b"".join(answers), at, CLOSE
-            end = at + MBAP_BEFORE_LENGTH_ENDS + length
+            end = at + HEAD_END + length
             if end > size:
                 break
-            answers.append(self._other(transaction, data[at + MBAP_BEFORE_LENGTH_ENDS : end]))
+            answers.append(data[at:behind] + self._answer(data[behind:end], now))
             at = end
         then = GO_ON if len(answers) == limit and at < size else READ_ON
         return b"".join(answers), at, then
 
-    def _read(self, transaction: int, unit: int, function: int, start: int, count: int, now: float) -> bytes:
+    def _answer(self, frame: bytes, now: float) -> bytes:
+        """Answer a frame, from its protocol id on."""
+        unit, function = frame[UNIT_AT], frame[UNIT_AT + 1]
         served = self._units.get(unit)
+        told: bytes | ExceptionCode = ExceptionCode.ILLEGAL_FUNCTION
         if served is None:
-            return self._refuse(transaction, unit, function, ExceptionCode.GATEWAY_PATH_UNAVAILABLE)
-        if not 1 <= count <= MOST_REGISTERS:
-            return self._refuse(transaction, unit, function, ExceptionCode.ILLEGAL_DATA_VALUE)
-        if start + count > ADDRESSES:
-            return self._refuse(transaction, unit, function, ExceptionCode.ILLEGAL_DATA_ADDRESS)
-        words = served.read(start, count, now)
-        if not isinstance(words, bytes):
-            return self._refuse(transaction, unit, function, CODE_FOR[words])
-        self._requests[function] += 1
-        size = 2 * count
-        return ANSWER.pack(transaction, 0, size + 3, unit, function, size) + words
-
-    def _other(self, transaction: int, adu: bytes) -> bytes:
-        """Answer a request that is no well-formed read of registers; `adu` begins with the unit id."""
-        unit, function = adu[0], adu[1]
-        served = self._units.get(unit)
-        if served is None:
-            code = ExceptionCode.GATEWAY_PATH_UNAVAILABLE
+            told = ExceptionCode.GATEWAY_PATH_UNAVAILABLE
         elif function in (READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS):
-            code = ExceptionCode.ILLEGAL_DATA_VALUE  # its length is wrong
+            told = self._read(served, frame, now)
         elif function == ENCAPSULATED_INTERFACE:
-            answer = self._told(served, adu[1:])
-            if isinstance(answer, bytes):
-                self._requests[function] += 1
-                return HEAD.pack(transaction, 0, 1 + len(answer)) + adu[:1] + answer
-            code = answer
-        else:
-            code = ExceptionCode.ILLEGAL_FUNCTION
-        return self._refuse(transaction, unit, function, code)
+            told = self._told(served, frame[UNIT_AT + 1 :])
+        if isinstance(told, ExceptionCode):
+            return self._refuse(unit, function, told)
+        self._requests[function] += 1
+        return HEAD.pack(0, 1 + len(told)) + bytes([unit]) + told
+
+    def _read(self, served: Unit, frame: bytes, now: float) -> bytes | ExceptionCode:
+        if len(frame) != READ_END - TRANSACTION:
+            return ExceptionCode.ILLEGAL_DATA_VALUE
+        function, start, count = READ.unpack_from(frame, UNIT_AT + 1)
+        if not 1 <= count <= MOST_REGISTERS:
+            return ExceptionCode.ILLEGAL_DATA_VALUE
+        if start + count > ADDRESSES:
+            return ExceptionCode.ILLEGAL_DATA_ADDRESS
+        words = served.read(start, count, now)
+        if isinstance(words, Missing):
+            return CODE_FOR[words]
+        told = bytes([function, 2 * count])
+        if len(self._known) < KNOWN_AT_MOST:
+            head = HEAD.pack(0, 3 + 2 * count) + frame[UNIT_AT : UNIT_AT + 1] + told
+            self._known[frame] = (served.read, start, count, head)
+        return told + words
 
     def _told(self, served: Unit, pdu: bytes) -> bytes | ExceptionCode:
         """Answer function 43; who was identified and is silent since then may be another drive by now."""
@@ -152,7 +167,7 @@ class Responder:
             return ExceptionCode.GATEWAY_PATH_UNAVAILABLE
         return answer
 
-    def _refuse(self, transaction: int, unit: int, function: int, code: ExceptionCode) -> bytes:
+    def _refuse(self, unit: int, function: int, code: ExceptionCode) -> bytes:
         self._requests[function] += 1
         self._exceptions[code] += 1
-        return EXCEPTION.pack(transaction, 0, 3, unit, function | IS_EXCEPTION, code)
+        return HEAD.pack(0, 3) + bytes([unit, function | IS_EXCEPTION, code])

@@ -8,8 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.image import LinkState
+from gateway.modbus_tcp import responder
 from gateway.modbus_tcp.connection import DRAIN_WITHIN, IN_FLIGHT, WRITE_BUFFER
-from tests.modbus_tcp.rig import Rig, Wire, answers, read, request, until
+from tests.modbus_tcp.rig import Rig, Wire, answer, answers, read, request, until
 
 IDLE = 60.0
 STREAM = b"".join(
@@ -109,6 +111,60 @@ async def test_a_piece_that_comes_while_requests_wait_keeps_its_place() -> None:
     assert [transaction for transaction, _, _ in answers(wire.sent)] == list(range(21))
 
 
+@pytest.mark.hazard("H19")
+@pytest.mark.parametrize("function", [3, 4])
+def test_a_request_that_is_known_is_answered_from_the_image_as_it_is_now(function: int) -> None:
+    """Its own transaction id, the new value, and no value at all when that is old or the line is down."""
+    rig = Rig()
+    wire, drive = rig.connect(), rig.image.by_unit[1]
+
+    def ask(transaction: int) -> bytes:
+        wire.writes.clear()
+        wire.connection.data_received(read(transaction, 1, 0xFD00, 1, function))
+        ((told, _, pdu),) = answers(wire.sent)
+        assert told == transaction
+        return pdu
+
+    assert ask(1) == ask(2) == bytes([function, 2, 0x17, 0x70])
+    answer(drive, output_frequency=1)
+    assert ask(3) == bytes([function, 2, 0, 1])
+    rig.clock.moment += 1.1
+    assert ask(4) == bytes([function | 0x80, 0x0B])
+    answer(drive, rig.clock.moment, output_frequency=2)
+    assert ask(5) == bytes([function, 2, 0, 2])
+    drive.set_link(LinkState.LINE_DOWN)
+    assert ask(6) == bytes([function | 0x80, 0x0A])
+    assert rig.stats.tcp.requests == {function: 6}
+
+
+def test_requests_that_are_known_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beyond the limit all is answered as before."""
+    monkeypatch.setattr(responder, "KNOWN_AT_MOST", 3)
+    rig = Rig()
+    wire = rig.connect()
+    for round_ in range(2):
+        for start in range(64):
+            wire.connection.data_received(read(round_, 255, start, 1))
+    assert len(answers(wire.sent)) == 128
+    assert len(rig.responder._known) == 3
+
+
+@pytest.mark.hazard("H25")
+def test_a_known_request_counts_against_a_client_that_does_not_read() -> None:
+    """The short way stops where the long one does."""
+    rig = Rig()
+    wire = rig.connect()
+    wire.is_read = False
+    asked = 0
+    while not wire.is_reading_paused:
+        wire.connection.data_received(read(7, 255, 0, 64))
+        asked += 1
+    wire.connection.data_received(read(8, 255, 0, 64))
+    assert len(answers(wire.sent)) == asked
+    wire.fetch()
+    assert len(answers(wire.sent)) == asked + 1
+
+
 @pytest.mark.hazard("H26")
 def test_a_wrong_header_closes_behind_the_answers() -> None:
     """What was right in front of it is answered; nothing that comes later is."""
@@ -165,12 +221,12 @@ async def test_a_client_that_has_not_read_its_last_answers_is_not_read_from() ->
     wire.is_read = False
     asked = 0
     while not wire.is_reading_paused:
-        wire.connection.data_received(read(asked, 255, 0, 64))
+        wire.connection.data_received(request(asked, 1, bytes([0x2B, 0x0E, 1, 0])))
         asked += 1
     assert len(answers(wire.sent)) == asked
     wire.fetch()
     assert not wire.is_reading_paused
-    wire.connection.data_received(read(asked, 255, 0, 64))
+    wire.connection.data_received(request(asked, 1, bytes([0x2B, 0x0E, 1, 0])))
     assert len(answers(wire.sent)) == asked + 1
 
 
