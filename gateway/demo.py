@@ -19,6 +19,7 @@ from typing import Any
 
 from paho.mqtt import client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
+from rich import box
 from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Table
@@ -236,23 +237,29 @@ def _read_metrics(port: int) -> dict[str, float]:
 
 
 def _picture(images: list[DriveImage], seen: Seen) -> Group:
-    table = Table(title="tosvert-gateway demo: three simulated drives on one RS485 line, 19200 8E1")
-    for heading in ("drive", "unit id", "value", "now", "unit", "in words"):
-        table.add_column(heading, justify="right" if heading in ("now", "unit id") else "left")
+    """Draw a column a drive and a row a value, so that it fits 80 columns and 30 lines."""
+    table = Table(title="three simulated drives on one RS485 line, 19200 8E1", box=box.SIMPLE)
+    table.add_column("value", no_wrap=True)
     for image in images:
-        state = seen.states.get(image.drive.name, {})
-        age = seen.metrics.get(f'tosvert_drive_age_seconds{{drive="{image.drive.name}",line="a"}}')
-        for row, name in enumerate(image.names):
-            value = state.get(name)
-            label = image.drive.name if row == 0 else ""
-            if row == 1 and age is not None:
-                label = f"  {state.get('quality', '-')}, {age * 1000:.0f} ms old"
-            words = state.get(f"{name}_text") or ""
-            unit_id = str(image.drive.unit) if row == 0 else ""
-            table.add_row(label, unit_id, name, "-" if value is None else str(value), image.unit(name), words)
-        table.add_section()
+        table.add_column(f"{image.drive.name}, unit id {image.drive.unit}", justify="right")
+    states = [seen.states.get(image.drive.name, {}) for image in images]
+    for name in dict.fromkeys(name for image in images for name in image.names):
+        table.add_row(name, *(_shown(image, state, name) for image, state in zip(images, states, strict=True)))
+    table.add_row("status in words", *(str(state.get("status_text") or "-") for state in states))
+    table.add_row("quality", *(str(state.get("quality", "-")) for state in states))
+    table.add_row("age", *(_age(image, seen) for image in images))
     load = seen.metrics.get('tosvert_line_load_ratio{line="a"}', 0.0)
     return Group(table, Text(f"line a: load {load:.0%}, {seen.rate:.0f} exchanges a second; Ctrl-C ends everything"))
+
+
+def _shown(image: DriveImage, state: Mapping[str, Any], name: str) -> str:
+    value = state.get(name)
+    return "-" if value is None or name not in image.names else f"{value} {image.unit(name)}".strip()
+
+
+def _age(image: DriveImage, seen: Seen) -> str:
+    age = seen.metrics.get(f'tosvert_drive_age_seconds{{drive="{image.drive.name}",line="a"}}')
+    return "-" if age is None else f"{age * 1000:.0f} ms"
 
 
 def _hints(ports: Ports) -> Iterator[str]:
