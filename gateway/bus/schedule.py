@@ -43,6 +43,7 @@ class NotBefore:
 class _Probe(Generic[Work]):
     job: Job[Work]
     interval: float
+    is_untried: bool = True
 
 
 @dataclass(slots=True)
@@ -51,7 +52,8 @@ class Schedule(Generic[Work]):
 
     Polls run earliest deadline first and without preemption. `turn` is how long one round of the jobs with
     period 0 takes: their deadline, so that they and the timed ones keep each other waiting fairly.
-    Probes of silent drives go ahead of polls, but only as often as `silent_share` of the line pays for.
+    Probes of silent drives go ahead of polls, but after the first one of each only as often as
+    `silent_share` of the line pays for.
     """
 
     silent_share: float
@@ -90,13 +92,12 @@ class Schedule(Generic[Work]):
 
     def next(self, now: float) -> Send[Work] | NotBefore | None:
         """Say what the line should carry next; None when nothing is planned at all."""
-        has_polls = any(self._jobs.values())
-        probe = min((p.job for p in self._probes.values()), key=lambda job: job.due, default=None)
         probe_at = float("inf")
-        if probe is not None:
-            probe_at = max(probe.due, self._probing_allowed) if has_polls else probe.due
+        if self._probes:
+            probe = min(self._probes.values(), key=self._probe_time)
+            probe_at = self._probe_time(probe)
             if probe_at <= now:
-                return Send(probe, is_probe=True)
+                return Send(probe.job, is_probe=True)
         best: Job[Work] | None = None
         earliest = probe_at
         for jobs in self._jobs.values():
@@ -109,11 +110,18 @@ class Schedule(Generic[Work]):
             return Send(best)
         return None if earliest == float("inf") else NotBefore(earliest)
 
+    def _probe_time(self, probe: _Probe[Work]) -> float:
+        """Return when a probe may go: the first of each drive at its time, later ones when the share allows."""
+        if probe.is_untried or not any(self._jobs.values()):
+            return probe.job.due
+        return max(probe.job.due, self._probing_allowed)
+
     def in_vain(self, job: Job[Work], begun: float, now: float) -> None:
         """Take note that a probe met silence: the next one, of whatever drive, waits until its cost is paid."""
         self._probing_allowed = begun + (now - begun) / self.silent_share
         probe = self._probes.get(job.drive)
         if probe is not None and probe.job is job:
+            probe.is_untried = False
             job.due = now + probe.interval
             probe.interval = min(2 * probe.interval, self.probe_at_most)
 
