@@ -6,6 +6,7 @@ BIN = $(VENV)/bin
 PYTHON =
 DEMO_ARGS =
 TEST_ARGS =
+SOAK = 10
 LOCK_ARGS =
 BENCH_ARGS =
 UV = uv>=0.9,<1
@@ -35,8 +36,8 @@ test: $(VENV)/.dev $(VENV)/.package programs ## all tests, with branch coverage 
 test-quick: $(VENV)/.dev $(VENV)/.package ## the tests that need no other programs
 	@$(BIN)/pytest -q -m "not e2e" $(TEST_ARGS)
 
-soak: $(VENV)/.dev $(VENV)/.package programs ## the long tests: more inputs for every parser, longer runs
-	@PATH="$$PATH:/usr/sbin" TOSVERT_SOAK=1 $(BIN)/pytest -q $(TEST_ARGS)
+soak: $(VENV)/.dev $(VENV)/.package programs ## the tests with ten times as many inputs (SOAK=100: a hundred times)
+	@PATH="$$PATH:/usr/sbin" TOSVERT_SOAK=$(SOAK) $(BIN)/pytest -q $(TEST_ARGS)
 
 bench: $(VENV)/.dev $(VENV)/.package ## measure line utilisation and MODBUS-TCP throughput beside other programs
 	@$(BIN)/python -m bench.run $(BENCH_ARGS)

@@ -15,8 +15,11 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from gateway import logs
+from tests.soak import FACTOR
 
 
 @pytest.fixture(autouse=True)
@@ -107,6 +110,21 @@ def test_nothing_from_outside_forges_a_text_line_or_drives_the_terminal() -> Non
     """Line ends and escape sequences in a message are shown, not obeyed."""
     (line,) = logged(lambda: log.info("topic %s", "a\n2026 ERROR b\x1b[2J µ", extra={"k": "c\rd"}), form="text")
     assert line.endswith("topic a\\n2026 ERROR b\\x1b[2J µ k=c\\rd")
+
+
+TEXTS = st.text(st.characters(exclude_categories=()))  # lone surrogates too
+
+
+@settings(max_examples=300 * FACTOR)
+@given(TEXTS, st.dictionaries(st.text("abc", min_size=1), TEXTS | st.floats() | st.binary() | st.none(), max_size=3))
+def test_whatever_is_logged_makes_one_line(message: str, fields: dict[str, object]) -> None:
+    """One printable text line; one JSON object with the message unchanged; both can be written as UTF-8."""
+    record = logging.makeLogRecord({"msg": message, "name": "n", "levelname": "INFO", **fields})
+    text, line = logs.TextLines().format(record), logs.JsonLines().format(record)
+    assert text.isprintable()
+    text.encode()
+    assert line.isascii()
+    assert json.loads(line)["message"] == message
 
 
 def test_the_level_bounds_what_is_logged() -> None:
