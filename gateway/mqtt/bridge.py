@@ -8,6 +8,7 @@ import logging
 import random
 import socket
 import threading
+import traceback
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
@@ -22,6 +23,7 @@ from gateway.errors import BadConfig
 from gateway.image import DriveImage, Image
 from gateway.metrics import MqttStats
 from gateway.mqtt import access, payload, reasons, topics
+from gateway.mqtt.backoff import Backoff
 from gateway.mqtt.connection import LEAVE_LIMIT, BrokerAway, Connection, LastError, Made, close
 from gateway.mqtt.publisher import Publisher
 
@@ -56,11 +58,10 @@ class Bridge:
         self._gateway = gateway
         self._stats = stats
         self._clock = clock
-        self._chance = chance or random.SystemRandom()
+        self._backoff = Backoff(section.reconnect_after, section.reconnect_at_most, chance or random.SystemRandom())
         self._publisher = Publisher(section, gateway, image, stats)
         self._connection: Connection | None = None
         self._in_flight = IN_FLIGHT
-        self._pause = 0.0
         self._told = ""
         image.subscribe(self._on_change)
 
@@ -73,14 +74,8 @@ class Bridge:
             except BrokerAway as error:
                 self._tell_away(str(error))
             if self._clock.now() - began > self._section.reconnect_at_most:
-                self._pause = 0.0
-            await asyncio.sleep(self._next_pause())
-
-    def _next_pause(self) -> float:
-        """Return a longer pause than before, by chance, so that not all clients come back at once."""
-        least, most = self._section.reconnect_after, self._section.reconnect_at_most
-        self._pause = min(most, self._chance.uniform(least, 3 * max(self._pause, least)))
-        return self._pause
+                self._backoff.reset()
+            await asyncio.sleep(self._backoff.next())
 
     def _tell_away(self, reason: str) -> None:
         """Log why the broker is away, the same reason once only."""
@@ -178,6 +173,7 @@ def _connect(section: MqttSection, gateway: str, in_flight: int) -> Made:
         client.connect(reach.host, reach.port, int(section.keep_alive), **options)
         _set_up(client.socket())
     except (OSError, ValueError, BadConfig) as error:
+        traceback.clear_frames(error.__traceback__)  # lets go of a socket whose handshake failed; paho does not
         raise BrokerAway(reasons.of_error(str(error))) from error
     return Made(client, errors, _Expiry if section.version == "5" else _no_expiry)
 

@@ -30,7 +30,7 @@ NO_RECEIVE_MAXIMUM = 65_535  # messages of QoS 1 and 2 under way (MQTT 5 3.2.2.3
 PACKET_IDS = 60_000  # messages of QoS 1 and 2 that can be told apart, with a margin
 TCP_CORK = getattr(socket, "TCP_CORK", None)  # Linux
 LOSSES = {  # what paho's names for the end of a connection mean
-    "Unspecified error": "closed by the broker",
+    "Unspecified error": "closed by the broker; if that repeats, another client may have the same client id",
     "Keep alive timeout": "the broker has not answered within the keep-alive",
 }
 
@@ -255,7 +255,7 @@ class Connection:
                 raise BrokerAway(reasons.of_silence(f"no answer within {ANSWER_LIMIT:.0f} s"))
             await self.wait(end - self._loop.time())
         if self._answer is None:
-            raise BrokerAway(reasons.of_silence(self.lost or ""))
+            raise BrokerAway(reasons.of_silence(self._errors.text))
         if self._answer.is_failure:
             raise BrokerAway(f"refused: {reasons.of_code(self._answer.value, self._answer.getName())}")
 

@@ -21,6 +21,8 @@ REMEDIES = {
     0x9F: "raise mqtt.reconnect_after, or the broker's limit",
 }
 
+HUNG_UP = "the other end hung up: is the port of mqtt.url right, with mqtts:// where it speaks TLS and only there?"
+
 # What errors of sockets and TLS contain, and what it mostly means; the first that fits is taken.
 HINTS = (
     ("CERTIFICATE_REQUIRED", "the broker wants a client certificate: set mqtt.tls.certificate and mqtt.tls.key"),
@@ -31,6 +33,8 @@ HINTS = (
     ("CERTIFICATE_VERIFY_FAILED", "mqtt.tls.ca must hold the authority that signed the broker's certificate"),
     ("UNKNOWN_CA", "the broker does not trust the authority that signed mqtt.tls.certificate"),
     ("WRONG_VERSION_NUMBER", "no TLS at this port: the one for mqtts:// is mostly 8883"),
+    ("Connection reset", HUNG_UP),
+    ("EOF occurred", HUNG_UP),
     ("_SSL", "see the broker's log on TLS"),
     ("[SSL", "see the broker's log on TLS"),
     ("Connection refused", "nothing listens there: is the broker running, and are host and port of mqtt.url right?"),

@@ -13,6 +13,7 @@ from gateway.site import Drive, Point, PollGroup
 
 FREQUENCY, TORQUE, STATUS, TRIP, COMMAND, CURRENT = 0xFD00, 0xFD18, 0xFD01, 0xFC90, 0xFA00, 0xFD03
 MAX_AGE = 1.0
+LONG = 3600.0  # a max_age that no test outlives by chance
 WALL = 1_772_366_400.25  # 2026-03-01T12:00:00.250Z
 
 TRIPS = Enumeration("trips", {0: "", 1: "OC1"}, {0: "no trip", 1: "overcurrent during acceleration"})
