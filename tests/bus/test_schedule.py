@@ -111,7 +111,8 @@ def test_a_drive_not_tried_yet_does_not_wait_behind_silent_ones() -> None:
     plan.set_jobs("alive", [periodic("alive", 1.0)])
     for index in range(30):
         plan.probe(f"d{index}", "who", 0.0)
-    now, asked = 0.0, set()
+    now = 0.0
+    asked: set[str] = set()
     while len(asked) < 30:
         step = plan.next(now)
         assert isinstance(step, Send)
