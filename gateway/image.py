@@ -137,8 +137,9 @@ class DriveImage:
         self._tell(names)
 
     def set_link(self, link: LinkState, reason: str = "") -> None:
-        """Take a new link state; a lost link ends the freshness of every value for good."""
-        if (link, reason) == (self.link, self.reason):
+        """Take the link's state; a lost link ends the freshness of every value for good, however often it is told."""
+        is_new = (link, reason) != (self.link, self.reason)
+        if link.is_connected and not is_new:
             return
         self.link, self.reason = link, reason
         self.revision += 1
@@ -147,7 +148,8 @@ class DriveImage:
             self._unreadable = Missing.LINE_DOWN if link is LinkState.LINE_DOWN else Missing.NOT_FRESH
             for segment in self._segments:
                 segment.end_freshness()
-        self._tell(())
+        if is_new:
+            self._tell(())
 
     def sweep(self, now: float) -> None:
         """Tell the listeners which values turned stale or went offline since they were last told."""

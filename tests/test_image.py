@@ -100,6 +100,20 @@ def test_a_lost_link_ends_freshness_for_good(link: LinkState) -> None:
     assert image.read(0xFD00, 2, NOW) is Missing.NOT_FRESH
 
 
+@pytest.mark.hazard("H19")
+def test_an_answer_of_a_lost_drive_is_forgotten_when_it_is_lost_again() -> None:
+    """A single answer between two silences is no connection; nobody is told twice that it is lost."""
+    image = online()
+    image.set_link(LinkState.OFFLINE, "no answer")
+    told: list[Sequence[str]] = []
+    image.apply([(0xFD00, 1)], NOW, WALL)
+    image.subscribe(lambda _, names: told.append(names))
+    image.set_link(LinkState.OFFLINE, "no answer")
+    assert told == []
+    image.set_link(LinkState.ONLINE)
+    assert image.read(0xFD00, 1, NOW) is Missing.NOT_FRESH
+
+
 def test_a_suspect_drive_is_still_believed() -> None:
     """One lost frame makes nothing stale."""
     image = online()

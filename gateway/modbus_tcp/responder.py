@@ -25,7 +25,6 @@ READ_INPUT_REGISTERS = 0x04
 ENCAPSULATED_INTERFACE = 0x2B
 IS_EXCEPTION = 0x80
 MOST_REGISTERS = 125  # MODBUS Application Protocol V1.1b3, 6.3
-ADDRESSES = 0x10000
 KNOWN_AT_MOST = 1024  # requests; a client that asks for everything does not fill the memory
 
 
@@ -149,8 +148,6 @@ class Responder:
         function, start, count = READ.unpack_from(frame, UNIT_AT + 1)
         if not 1 <= count <= MOST_REGISTERS:
             return ExceptionCode.ILLEGAL_DATA_VALUE
-        if start + count > ADDRESSES:
-            return ExceptionCode.ILLEGAL_DATA_ADDRESS
         words = served.read(start, count, now)
         if isinstance(words, Missing):
             return CODE_FOR[words]
