@@ -6,8 +6,14 @@ import os
 
 from hypothesis import HealthCheck, settings
 
+from tests.soak import FACTOR
+
 # A busy machine is no failure: no time limits. In CI the same examples every time; at home new ones.
 settings.register_profile(
-    "project", deadline=None, derandomize="CI" in os.environ, suppress_health_check=[HealthCheck.too_slow]
+    "project",
+    deadline=None,
+    derandomize="CI" in os.environ,
+    max_examples=100 * FACTOR,
+    suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("project")

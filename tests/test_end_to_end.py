@@ -81,7 +81,8 @@ class Plant:
     def retained(self, topic: str) -> str:
         """Return the retained message of a topic by mosquitto_sub; empty where there is none."""
         done = subprocess.run(
-            ["mosquitto_sub", "-p", str(self.broker.port), "-t", topic, "-C", "1", "-W", "2", "-F", "%p"],
+            ["mosquitto_sub", "-h", "127.0.0.1", "-p", str(self.broker.port), "-t", topic, "-C", "1", "-W", "2",
+             "-F", "%p"],
             capture_output=True, text=True, check=False,
         )  # fmt: skip
         return done.stdout.strip()
@@ -333,7 +334,7 @@ def test_the_demonstration_runs_and_ends(tmp_path: Path) -> None:
     ports = [free_port() for _ in range(3)]
     done = subprocess.run(
         [sys.executable, "-m", "gateway", "demo", "--mqtt-port", str(ports[0]), "--modbus-tcp-port", str(ports[1]),
-         "--web-port", str(ports[2]), "--seconds", "8"],
+         "--web-port", str(ports[2]), "--seconds", "12"],
         capture_output=True, text=True, check=False, timeout=60, env=os.environ | {"COLUMNS": "120"},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -8,9 +8,10 @@ import struct
 import pytest
 
 from tests.modbus_tcp.rig import Rig, Wire, answers, read, request
+from tests.soak import FACTOR
 
 SEED = 20_260_101
-REQUESTS = 100_000
+REQUESTS = 100_000 * FACTOR
 FRAMES = (
     read(1, 1, 0xFD00, 4),
     read(2, 1, 0xFD18, 1),
