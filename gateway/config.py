@@ -56,6 +56,7 @@ TopicLevel = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.
 TopicPath = Annotated[
     str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*(/[A-Za-z0-9][A-Za-z0-9_.-]*)*$")
 ]
+Deadband = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 ValueName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$")]
 
 class Section(BaseModel):
@@ -143,7 +144,7 @@ class MqttSection(Section):
     qos: Literal[0, 1, 2] = 0
     queue: int = Field(10_000, ge=100, le=1_000_000, description="messages that may wait for the broker")
     longest_silence: Duration = Field(seconds("60s"), ge=0, description="0s: publish every reading")
-    deadband: dict[ValueName, float] = Field({}, description="value name: smallest change that is published")
+    deadband: dict[ValueName, Deadband] = Field({}, description="value name: smallest change that is published")
     reconnect_after: Duration = Field(seconds("1s"), gt=0)
     reconnect_at_most: Duration = Field(seconds("30s"), gt=0)
 
@@ -184,11 +185,13 @@ class DriveSection(Section):
     unit: int | None = Field(None, ge=1, le=247, description="MODBUS-TCP unit id; the number by default")
     wait_time: Duration = Field(0.0, ge=0, le=2, description="F805 as set in the drive")
     poll: list[PollSection] = Field([], description="the model's profile where empty")
-    deadband: dict[ValueName, float] = Field({}, description="like mqtt.deadband, for this drive")
+    deadband: dict[ValueName, Deadband] = Field({}, description="like mqtt.deadband, for this drive")
 
 def _port(value: str) -> str:
     if "://" in value and not value.startswith("socket://"):
         raise ValueError('a serial device or a serial server is wanted: "/dev/ttyUSB0", "socket://10.0.0.7:4001"')
+    if "\0" in value:
+        raise ValueError("a path or an address cannot contain a NUL character")
     if value.startswith("socket://"):
         address(value.removeprefix("socket://"))
     elif not value.startswith("/"):

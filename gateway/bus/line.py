@@ -14,7 +14,10 @@ class Line(Protocol):
         ...
 
     async def write(self, frame: bytes) -> float:
-        """Wait for the gap, discard what has arrived, send; return when the first bit left (monotonic)."""
+        """Wait for the gap, discard what has arrived, send; return when the first bit left (monotonic).
+
+        BadReply where the line does not become quiet within a second.
+        """
         ...
 
     async def read(self, deadline: float) -> bytes:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from gateway.bus import selectors
-from gateway.bus.blocks import HOLE, Abilities, BlockMapping, PlannedRead, Planner, area
+from gateway.bus.blocks import Abilities, BlockMapping, PlannedRead, Planner, area
 from gateway.bus.schedule import Job, spread
 from gateway.drives.register import Register
 from gateway.errors import Refusal, Refused
@@ -32,6 +32,7 @@ class Task(Enum):
     POLL = "poll"
     RECHECK = "recheck"
     AUDIT = "audit"
+    CONFIRM = "confirm"
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +51,7 @@ class Learnt:
     words: list[tuple[int, int]] = field(default_factory=list)
     jobs: list[Job[Work]] | None = None
     once: list[Work] = field(default_factory=list)
-    is_stranger: bool = False
+    stranger: str = ""
     is_ready: bool = False
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
@@ -76,17 +77,22 @@ class DriveReader:
         self._audit: selectors.Audit | None = None
         self._tries = 0
         self._knows_identification = False
+        self._pending: Work | None = None
+        self._proofs = 0
+        self._as_set: BlockMapping | None = None
 
     # ---- who is there
 
     def identify(self) -> Work:
-        """Return the question who is there; every third time a plain read, for drives that know no 2BH.
+        """Return the question who is there: 2BH, and every third time a plain read, for drives that know no 2BH.
 
-        A drive that has answered 2BH, rightly or as a stranger, is asked nothing else.
+        A drive that has answered 2BH, rightly or as a stranger, is asked nothing else; one that was set up
+        without is asked by plain reads.
         """
         self._tries += 1
         status = self.drive.model.registers.get("status")
-        if self._tries % 3 == 0 and not self._knows_identification and status is not None:
+        is_plain = not self._knows_identification and (self.is_set_up or self._tries % 3 == 0)
+        if is_plain and status is not None:
             return Work(Task.IDENTIFY, ReadWords(self.drive.number, status.address))
         return Work(Task.IDENTIFY, Identify(self.drive.number))
 
@@ -96,14 +102,14 @@ class DriveReader:
             case Task.IDENTIFY, Identity():
                 return self._identified(reply, now)
             case Task.IDENTIFY, Words():
-                return self._set_up(now)
+                return self._resumed(now)
             case Task.FACT, Words(words) if work.read is not None:
                 return self._fact(work.read, words, now)
             case (Task.PROVE_BLOCK | Task.PROVE_SINGLE), Words(words):
                 return self._proven(work, words, now)
             case Task.RECHECK, Words(words) if work.read is not None:
                 return self._rechecked(work.read, words, now)
-            case Task.AUDIT, Words(words) if work.read is not None and self._audit is not None:
+            case (Task.AUDIT | Task.CONFIRM), Words(words) if work.read is not None and self._audit is not None:
                 self._audit.single(work.read.registers[0], words[0])
                 return Learnt(work.read.values(words))
             case Task.POLL, Words(words) if work.read is not None:
@@ -116,11 +122,21 @@ class DriveReader:
         if expected and not identity.device.startswith(expected):
             self.is_set_up = False
             self.identity = None
-            warning = f"identity mismatch: {self.drive.model.name} is configured, {identity.device!r} answers"
-            return Learnt(is_stranger=True, warnings=[warning])
-        is_same = self.is_set_up and self.identity in (None, identity)
+            self._pending = None
+            return Learnt(
+                stranger=f"identity mismatch: {self.drive.model.name} is configured, {identity.device!r} answers"
+            )
+        is_same = self.identity in (None, identity)
         self.identity = identity
-        return Learnt(is_ready=True) if is_same else self._set_up(now)
+        return self._resumed(now) if is_same else self._set_up(now)
+
+    def _resumed(self, now: float) -> Learnt:
+        """Go on where a lost frame broke in: with the polls, or with the step of the set-up that got no answer."""
+        if self.is_set_up:
+            return Learnt(is_ready=True)
+        if self._pending is not None:
+            return Learnt(jobs=[self._at_once(self._pending, now)])
+        return self._set_up(now)
 
     def forget(self) -> None:
         """Forget all that a reset or another drive may have changed; the mapping in force stays a candidate."""
@@ -129,6 +145,7 @@ class DriveReader:
         self.is_set_up = False
         self._knows_identification = False
         self._tries = 0
+        self._pending = None
         self.identity = None
         self.able = Abilities()
         self.absent.clear()
@@ -161,6 +178,8 @@ class DriveReader:
         return Learnt(jobs=[self._at_once(Work(Task.FACT, read.request, read), now)], notes=list(notes))
 
     def _at_once(self, work: Work, now: float) -> Job[Work]:
+        """Make a step of the set-up: it is remembered until the next one, should its answer be lost."""
+        self._pending = work
         return Job(self.drive.name, work, None, now, now)
 
     def _fact(self, read: PlannedRead, words: Sequence[int], now: float) -> Learnt:
@@ -174,7 +193,8 @@ class DriveReader:
 
     def _start_proof(self, now: float, notes: Sequence[str] = ()) -> Learnt:
         codes = [self.facts.get(register.name) for register in self._selector_registers()]
-        as_set = selectors.mapping_of(self.drive.model, codes)
+        self._as_set = as_set = selectors.mapping_of(self.drive.model, codes)
+        self._proofs = 0
         if as_set is not None and as_set not in self._candidates:
             self._candidates.append(as_set)
         return self._next_proof(now, notes)
@@ -211,8 +231,14 @@ class DriveReader:
             self._singles[work.read.registers[0].name] = words[0]
         if self._proof:
             return Learnt(jobs=[self._at_once(self._proof.pop(0), now)])
-        mapping = self._candidates.pop(0)
-        if selectors.fits(mapping, self._blocks[0], self._blocks[-1], self._singles):
+        mapping = self._candidates[0]
+        is_right = selectors.fits(mapping, self._blocks[0], self._blocks[-1], self._singles)
+        self._proofs += 1
+        if not is_right and self._proofs < selectors.PROOFS:
+            return self._next_proof(now)
+        self._proofs = 0
+        self._candidates.pop(0)
+        if is_right:
             self._candidates.clear()
             self.able = replace(self.able, mapping=mapping)
             return self._start_polls(now)
@@ -226,6 +252,7 @@ class DriveReader:
 
     def _start_polls(self, now: float, notes: Sequence[str] = ()) -> Learnt:
         self.is_set_up = True
+        self._pending = None
         return Learnt(jobs=self.polls(now), is_ready=True, notes=list(notes))
 
     def plan(self) -> list[tuple[PollGroup, tuple[PlannedRead, ...]]]:
@@ -259,7 +286,11 @@ class DriveReader:
         if blocks and blocks[0] is not None:
             carried = enumerate(blocks[0].carries)
             watched = tuple((i, r) for i, r in carried if r is not None and r.name in self.drive.points)
-            self._audit = selectors.Audit(watched)
+            proven = {r.name for _, r in watched if self._singles.get(r.name, 0) & r.mask}
+            as_set = self._as_set or ()
+            settled = {r.name for i, r in watched if i < len(as_set) and as_set[i] is r}
+            unsettled = frozenset(r.name for _, r in watched) - settled
+            self._audit = selectors.Audit(watched, proven, unsettled)
             checks.append(self._audit_job(now))
         registers = self._selector_registers()
         if registers:
@@ -288,10 +319,15 @@ class DriveReader:
             learnt = self._set_up(now)
             learnt.warnings.append("the block no longer carries what it did: the drive was reset or set anew")
             return learnt
-        doubtful = [Work(Task.POLL, r.request, r) for r in map(self._alone, read.doubtful(words))]
-        if len(read.carries) == 1 and words[0] == HOLE:
-            self.able = replace(self.able, only_single=self.able.only_single | {read.registers[0].name})
-        return Learnt(read.values(words), once=doubtful)
+        untrusted = self._untrusted(read, words)
+        values = [pair for pair in read.values(words) if pair[0] not in {r.address for r in untrusted}]
+        once = [Work(Task.CONFIRM, r.request, r) for r in map(self._alone, untrusted)]
+        once += [Work(Task.POLL, r.request, r) for r in map(self._alone, read.doubtful(words))]
+        return Learnt(values, once=once)
+
+    def _untrusted(self, read: PlannedRead, words: Sequence[int]) -> list[Register]:
+        is_block = isinstance(read.request, ReadBlock) and self._audit is not None
+        return self._audit.untrusted(words) if is_block and self._audit is not None else []
 
     def _rechecked(self, read: PlannedRead, words: Sequence[int], now: float) -> Learnt:
         found = {r.name: word for r, word in zip(read.carries, words, strict=True) if r is not None}

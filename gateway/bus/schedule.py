@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 Work = TypeVar("Work")
+AHEAD = float("-inf")  # deadline of what goes before everything else
 
 
 @dataclass(slots=True, eq=False)
@@ -73,6 +74,13 @@ class Schedule(Generic[Work]):
         """Add a job for a drive that has some."""
         self._jobs.setdefault(job.drive, []).append(job)
 
+    def hold(self, drive: str, until: float) -> None:
+        """Let nothing be done for a drive before that time, but what is ahead of everything."""
+        for job in self._jobs.get(drive, ()):
+            if job.deadline != AHEAD and job.due < until:
+                job.due = until
+                job.deadline = max(job.deadline, until)
+
     def remove(self, job: Job[Work]) -> None:
         """Drop a job."""
         self._jobs[job.drive].remove(job)
@@ -94,7 +102,7 @@ class Schedule(Generic[Work]):
         """Say what the line should carry next; None when nothing is planned at all."""
         probe_at = float("inf")
         if self._probes:
-            probe = min(self._probes.values(), key=self._probe_time)
+            probe = min(self._probes.values(), key=lambda p: (self._probe_time(p), p.job.due))
             probe_at = self._probe_time(probe)
             if probe_at <= now:
                 return Send(probe.job, is_probe=True)

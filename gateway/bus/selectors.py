@@ -14,9 +14,10 @@ from gateway.bus.blocks import BlockMapping
 from gateway.drives.model import Model
 from gateway.drives.register import Register
 
-TOLERANCE = 25  # counts; a monitored value moves between two reads
-TOLERANCE_SHARE = 0.05  # of the value
-DISAGREEMENTS = 2  # in a row, before a mapping is given up
+TOLERANCE = 50  # counts; a monitored value moves between two reads
+TOLERANCE_SHARE = 0.08  # of the value
+DISAGREEMENTS = 2  # of one register in a row, before a mapping is given up
+PROOFS = 3  # tries to prove a mapping, before it is held to be wrong
 UNPROVEN_EVERY = 2.0  # seconds between two checks while some word has only agreed at 0
 PROVEN_EVERY = 30.0  # seconds between two checks afterwards
 
@@ -53,25 +54,46 @@ def fits(
 
 @dataclass(slots=True)
 class Audit:
-    """Checks a mapping in use, one word at a time: block, single read, block."""
+    """Checks a mapping in use, one word at a time: block, single read, block.
+
+    `proven` are registers that have agreed on something but 0. `unsettled` are those for which the selectors
+    say something else than what is in force: a reset, which nobody may notice, changes them.
+    """
 
     watched: tuple[tuple[int, Register], ...]
     proven: set[str] = field(default_factory=set)
+    unsettled: frozenset[str] = frozenset()
     _turn: int = 0
     _pending: tuple[int, Register, int, int] | None = None
     _last: tuple[int, ...] = ()
+    _suspect: Register | None = None
     _disagreements: int = 0
 
     @property
     def every(self) -> float:
-        """Return the seconds between two checks: often until each word has agreed on something but 0."""
-        return PROVEN_EVERY if len(self.proven) == len(self.watched) else UNPROVEN_EVERY
+        """Return the seconds between two checks: few while some word is in doubt."""
+        return UNPROVEN_EVERY if self._suspect is not None or self._doubted() else PROVEN_EVERY
+
+    def _doubted(self) -> list[Register]:
+        registers = (register for _, register in self.watched)
+        return [r for r in registers if r.name not in self.proven or r.name in self.unsettled]
 
     def next(self) -> Register:
-        """Return the register to be read alone next."""
-        unproven = [entry for entry in self.watched if entry[1].name not in self.proven]
-        choice = unproven or self.watched
-        return choice[self._turn % len(choice)][1]
+        """Return the register to be read alone next; one that disagreed is asked again first."""
+        if self._suspect is not None:
+            return self._suspect
+        doubted, place = self._doubted(), self._turn // 2
+        if doubted and self._turn % 2 == 0:  # a word that is always 0 must not keep the others from being checked
+            return doubted[place % len(doubted)]
+        return self.watched[place % len(self.watched)][1]
+
+    def untrusted(self, words: Sequence[int]) -> list[Register]:
+        """Return the registers whose word left 0 for the first time: to be confirmed before they are believed."""
+        return [
+            register
+            for index, register in self.watched
+            if register.name not in self.proven and index < len(words) and words[index] & register.mask
+        ]
 
     def single(self, register: Register, word: int) -> None:
         """Take a single read; it is judged when the next block comes."""
@@ -87,9 +109,11 @@ class Audit:
             index, register, single, before = self._pending
             self._pending = None
             if not agree(register, single, before, words[index]):
-                self._disagreements += 1
+                self._disagreements = self._disagreements + 1 if register is self._suspect else 1
+                self._suspect = register
                 return self._disagreements < DISAGREEMENTS
-            self._disagreements = 0
+            if register is self._suspect:
+                self._suspect = None
             if single & register.mask:
                 self.proven.add(register.name)
         return True

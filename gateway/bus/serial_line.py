@@ -14,10 +14,11 @@ import serial
 from gateway import site
 from gateway.clock import Clock
 from gateway.config import address
-from gateway.errors import LineDown
+from gateway.errors import BadReply, LineDown
 from gateway.protocol.timing import LineTiming
 
 READ_SIZE = 4096  # bytes taken from the port at once; an answer has at most 64
+NEVER_QUIET = 1.0  # seconds without a gap, after which waiting for one is given up
 CONNECT_TIMEOUT = 5.0  # seconds for a serial server to accept
 PTY_MAJORS = range(136, 144)  # Linux device numbers of pseudo-terminals
 
@@ -109,7 +110,7 @@ def _connect(line: site.Line) -> socket.socket:
     host, port = address(line.port.removeprefix("socket://"))
     try:
         connection = socket.create_connection((host, port), CONNECT_TIMEOUT)
-    except OSError as error:
+    except (OSError, UnicodeError) as error:
         raise LineDown(f"{line.port}: {error}; is the serial server on, and line.port right?") from error
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
@@ -141,7 +142,10 @@ class DescriptorLine:
     async def write(self, frame: bytes) -> float:
         """Wait for the gap, discard what has arrived, send; return when the first bit left (monotonic)."""
         self._check()
+        patience = self._clock.now() + NEVER_QUIET
         while (when := self._quiet_since + self._timing.gap) > self._clock.now():
+            if when > patience:
+                raise BadReply(f"{self.name}: the line is never quiet: something babbles, or another master talks")
             await self._alarm.wait_until(when)  # what arrives meanwhile moves the end of the gap
             self._check()
         self._arrived.clear()

@@ -11,7 +11,7 @@ from gateway.bus.exchange import Answered, Exchanger
 from gateway.bus.line import Line
 from gateway.bus.link import Heard, Link
 from gateway.bus.reader import DriveReader, Learnt, Work
-from gateway.bus.schedule import Job, NotBefore, Schedule, Send
+from gateway.bus.schedule import AHEAD, Job, NotBefore, Schedule, Send
 from gateway.clock import Clock
 from gateway.errors import BadReply, LineDown, NoReply, Refused
 from gateway.image import DriveImage, LinkState
@@ -24,7 +24,7 @@ frames = logging.getLogger("gateway.bus.frames")
 REOPEN_FIRST = 0.5  # seconds; doubled up to the last
 REOPEN_LAST = 10.0
 SETTLE = 0.1  # seconds of silence after opening: half a frame of whoever spoke before is let go
-AHEAD_OF_POLLS = float("-inf")  # deadline of the question whether a silent drive is still there
+LATE_AT_MOST = 0.4  # seconds after a time-out in which the old answer may still come, twice the margin at least
 IDLE_WAIT = 1.0  # seconds, when there is nothing to do at all
 
 Opener = Callable[[site.Line, Clock], Awaitable[Line]]
@@ -39,6 +39,7 @@ class _Station:
         self.stats = stats
         self.reader = reader
         self.link = Link()
+        self.quiet_until = float("-inf")  # nothing but identifications before: a late answer might be believed
         self.processing = drive.model.times.processing + drive.wait_time
 
 
@@ -160,9 +161,9 @@ class LineWorker:
         for warning in learnt.warnings:
             log.warning("%s: %s", name, warning)
         self._schedule.done(job, now)
-        if learnt.is_stranger:
-            self._hear(station, Heard.STRANGER, learnt.warnings[0])
-            self._schedule.probe(name, reader.identify(), now + self._line.probe_every)
+        if learnt.stranger:
+            self._hear(station, Heard.STRANGER, learnt.stranger)
+            self._ask_again(station, job, now)
             return
         self._hear(station, Heard.REPLY)
         if learnt.is_ready:
@@ -182,6 +183,17 @@ class LineWorker:
             self._follow_up(station, job, now)
         for work in learnt.once:
             self._schedule.add(Job(name, work, None, now, now))
+        if now < station.quiet_until:
+            self._schedule.hold(name, station.quiet_until)
+
+    def _ask_again(self, station: _Station, job: Job[Work], started: float) -> None:
+        """Try a drive that is not there, or is another one, from time to time, ever more seldom."""
+        name, now = station.drive.name, self._clock.now()
+        if self._schedule.is_probed(name):
+            self._schedule.in_vain(job, started, now)
+            job.work = station.reader.identify()
+        else:
+            self._schedule.probe(name, station.reader.identify(), now + self._line.probe_every)
 
     def _follow_up(self, station: _Station, job: Job[Work], now: float) -> None:
         if (later := station.reader.follow_up(job.work, now)) is not None:
@@ -210,7 +222,7 @@ class LineWorker:
         """Count silence or garbage, and decide how the drive is tried next.
 
         The next request differs in form from the one without an answer (an identification), so that a late
-        answer to the old one cannot be taken for its answer.
+        answer to the old one cannot be taken for its answer; and the drive is asked nothing else for a while.
         """
         now = self._clock.now()
         kind = "no_reply" if isinstance(error, NoReply) else "bad_reply"
@@ -220,15 +232,17 @@ class LineWorker:
         else:
             station.stats.bad_replies += 1
         frames.debug("rx %s: %s", job.drive, error)
-        name, was_probed = station.drive.name, self._schedule.is_probed(station.drive.name)
+        name = station.drive.name
         self._hear(station, Heard.SILENCE, str(error))
-        if was_probed:
-            self._schedule.in_vain(job, started, now)
-            job.work = station.reader.identify()
-        elif station.link.state is LinkState.SUSPECT:
+        is_lost = station.link.state in (LinkState.OFFLINE, LinkState.STRANGER)
+        if self._schedule.is_probed(name):
+            self._ask_again(station, job, started)
+        elif is_lost:
+            station.reader.forget()
+            self._ask_again(station, job, started)
+        else:
+            station.quiet_until = now + max(LATE_AT_MOST, 2 * self._line.margin)
             self._schedule.done(job, now)
             self._follow_up(station, job, now)
-            self._schedule.add(Job(name, station.reader.identify(), None, now, AHEAD_OF_POLLS))
-        else:
-            station.reader.forget()
-            self._schedule.probe(name, station.reader.identify(), now + self._line.probe_every)
+            self._schedule.hold(name, station.quiet_until)
+            self._schedule.add(Job(name, station.reader.identify(), None, now, AHEAD))

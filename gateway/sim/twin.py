@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from gateway.clock import Clock
-from gateway.errors import LineDown
+from gateway.errors import BadReply, LineDown
 from gateway.protocol.timing import LineTiming
 from gateway.sim.wire import Wire
+
+NEVER_QUIET = 1.0  # seconds without a gap, after which waiting for one is given up
 
 
 class TwinLine:
@@ -25,7 +27,10 @@ class TwinLine:
     async def write(self, frame: bytes) -> float:
         """Wait for the gap, discard what has arrived, send; return when the first bit left (monotonic)."""
         self._collect()
+        patience = self._clock.now() + NEVER_QUIET
         while (when := self._quiet_since + self._timing.gap) > self._clock.now():
+            if when > patience:
+                raise BadReply("the simulated line is never quiet")
             await self._alarm.wait_until(when)  # what arrives meanwhile moves the end of the gap
             self._collect()
         self._arrived.clear()

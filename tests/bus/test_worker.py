@@ -303,3 +303,82 @@ def test_a_drive_that_returns_is_read_again_soon() -> None:
         assert stage.link("d1") is LinkState.ONLINE
 
     run(lambda: bench([nc3()]), play)
+
+
+@pytest.mark.hazard("H16")
+@pytest.mark.parametrize("late", [0.12, 0.15, 0.2, 0.3])
+def test_a_late_answer_is_not_taken_for_another_registers(late: float) -> None:
+    """Single reads of one form after each other, one answer in five late: every value good is its own."""
+
+    async def play(stage: Bench) -> None:
+        hours = "cumulative_operation_time"
+        bounds = {"output_frequency": (49.9, 50.1), "input_voltage": (80, 200), hours: (1000, 1001)}
+        wrong: list[tuple[str, str]] = []
+
+        def look(image: Any, names: Any) -> None:
+            for name in names:
+                value = stage.value("d1", name)
+                low, high = bounds.get(name, (float("-inf"), float("inf")))
+                if value[0].isdigit() and not low <= float(value) <= high:
+                    wrong.append((name, value))
+
+        await asyncio.sleep(3.0)
+        stage.image.subscribe(look)
+        stage.wire.faults.add(Fault(Kind.LATE, None, late, 0.2))
+        await asyncio.sleep(120.0)
+        assert wrong == []
+        assert stage.line_stats.exchanges > 200
+
+    polls = [{"values": ["output_frequency", "input_voltage", "cumulative_operation_time"], "every": "50ms"}]
+    run(lambda: bench([{"number": 1, "model": "vf-nc3", "running_at": 50.0}], polls), play)
+
+
+def test_a_mapping_that_agreed_only_at_0_shows_no_wrong_value_when_the_motor_starts() -> None:
+    """Selectors swapped at the panel and not in force: the words that leave 0 are confirmed first."""
+
+    async def play(stage: Bench) -> None:
+        drive = stage.wire.drives[0]
+        drive.set_by_panel("block_read_2", 3)
+        drive.set_by_panel("block_read_3", 2)
+        await asyncio.sleep(5.0)
+        wrong: list[str] = []
+
+        def look(image: Any, names: Any) -> None:
+            motor = drive.inverter.condition.motor.frequency
+            value = stage.value("d1", "output_frequency")
+            if "output_frequency" in names and value[0].isdigit() and abs(float(value) - motor) > 2.0:
+                wrong.append(value)
+
+        stage.image.subscribe(look)
+        drive.inverter.run_by_panel(50.0, is_reverse=False)
+        await asyncio.sleep(30.0)
+        assert wrong == []
+        assert stage.value("d1", "output_frequency") == "50.00"
+
+    run(lambda: bench([nc3()]), play)
+
+
+def test_one_lost_answer_of_many_does_not_take_a_drive_offline() -> None:
+    """One answer in ten lost for five minutes: connected nearly all the time, from the start."""
+
+    async def play(stage: Bench) -> None:
+        stage.wire.faults.add(Fault(Kind.DROP, None, None, 0.1))
+        await asyncio.sleep(10.0)
+        connected = 0
+        for _ in range(3000):
+            await asyncio.sleep(0.1)
+            connected += stage.link("d1").is_connected
+        assert connected > 0.95 * 3000
+
+    run(lambda: bench([nc3()]), play)
+
+
+def test_a_stranger_is_asked_ever_more_seldom_and_reported_once(caplog: pytest.LogCaptureFixture) -> None:
+    """One warning in ten minutes."""
+
+    async def play(stage: Bench) -> None:
+        await asyncio.sleep(600.0)
+        assert stage.line_stats.exchanges < 150
+
+    run(lambda: bench([{"number": 1, "model": "vf-mb1", "configured": "vf-nc3"}]), play)
+    assert len([record for record in caplog.records if "mismatch" in record.getMessage()]) == 1
