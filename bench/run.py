@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-BENCHMARKS = ("bench.line_load", "bench.tcp_load", "bench.mqtt_latency")
+BENCHMARKS = ("bench.line_load", "bench.tcp_load")
 
 
 def main() -> None:
