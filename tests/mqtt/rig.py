@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import ssl
 import threading
 from collections.abc import AsyncIterator, Callable
 
@@ -131,14 +132,16 @@ async def _copy(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> N
 class Impostor:
     """A listener that gives every client the same answer to whatever it says; None: it hangs up at once."""
 
-    def __init__(self, answer: bytes | None) -> None:
+    def __init__(self, answer: bytes | None, context: ssl.SSLContext | None = None) -> None:
         self.port = 0
         self.met = asyncio.Event()
+        self.heard: list[bytes] = []
         self._answer = answer
+        self._context = context
         self._writers: list[asyncio.StreamWriter] = []
 
     async def __aenter__(self) -> Impostor:
-        self._server = await asyncio.start_server(self._meet, "127.0.0.1", 0)
+        self._server = await asyncio.start_server(self._meet, "127.0.0.1", 0, ssl=self._context)
         self.port = self._server.sockets[0].getsockname()[1]
         return self
 
@@ -155,7 +158,7 @@ class Impostor:
         self._writers.append(writer)
         self.met.set()
         with contextlib.suppress(OSError):
-            await reader.read(1)
+            self.heard.append(await reader.read(1024))
             if self._answer is None:
                 writer.close()
             else:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import socket
 import threading
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 import uvloop
@@ -183,8 +185,11 @@ async def test_the_end_is_said_and_the_connection_closed_in_order(broker: Mosqui
 
 @pytest.mark.hazard("H24")
 @pytest.mark.parametrize("qos", [0, 1])
-async def test_a_frozen_broker_fills_a_bounded_queue_and_then_learns_the_truth(broker: Mosquitto, qos: int) -> None:
-    """What found no room is counted; after the thaw the newest of it is there."""
+async def test_a_frozen_broker_fills_a_bounded_queue_and_then_learns_the_truth(
+    broker: Mosquitto, monkeypatch: pytest.MonkeyPatch, qos: int
+) -> None:
+    """What found no room is counted; after the thaw the newest of it is there, without waiting for a look round."""
+    monkeypatch.setattr(bridge_module, "TEND_EVERY", 1e6)
     async with Subscriber(broker.port) as heard, running(broker.port, queue=200, qos=qos) as made:
         await heard.until_payload(STATUS, "online")
         broker.freeze()
@@ -199,6 +204,28 @@ async def test_a_frozen_broker_fills_a_bounded_queue_and_then_learns_the_truth(b
         await heard.until_payload(FREQUENCY, made.pump.show("output_frequency", word))
         await heard.until_payload(f"{ROOT}/torque", made.pump.show("torque", word))
         assert made.stats.connects == 1
+
+
+async def test_a_bridge_without_room_rests(broker: Mosquitto, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It does not ask again and again whether the frozen broker has thawed."""
+    asked: list[None] = []
+    settle = Publisher.settle
+
+    def counted(*arguments: Any) -> None:
+        asked.append(None)
+        settle(*arguments)
+
+    async with Subscriber(broker.port) as heard, running(broker.port, queue=200) as made:
+        await heard.until_payload(STATUS, "online")
+        broker.freeze()
+        while not made.stats.dropped:
+            made.read(output_frequency=made.stats.published % 0x8000)
+        monkeypatch.setattr(Publisher, "settle", counted)
+        for _ in range(100):
+            await asyncio.sleep(0)
+        assert not asked
+        broker.thaw()
+        await heard.until(lambda: bool(asked))
 
 
 @pytest.mark.hazard("H24")
@@ -257,6 +284,34 @@ async def test_numbers_carry_an_expiry_to_a_broker_that_knows_it(broker: Mosquit
     left = dict(line.split(" ") for line in output.decode().splitlines())
     assert 55 <= int(left[FREQUENCY]) <= 60
     assert 55 <= int(left[f"{ROOT}/state"]) <= 60
+
+
+@pytest.mark.hazard("H24")
+async def test_every_connection_starts_clean_and_bounds_what_comes_in() -> None:
+    """MQTT 5: clean start, nothing outlives the connection, 20 messages of at most 64 KiB under way; each time."""
+    session_ends, few, small = bytes.fromhex("11 00000000"), bytes.fromhex("21 0014"), bytes.fromhex("27 00010000")
+    async with Impostor(None) as broker, running(broker.port):
+        with Log() as log:
+            await log.until(lambda lines: len(lines) >= 2)
+        for connect in broker.heard[:2]:
+            assert connect[connect.index(b"MQTT") + 5] & 0x02
+            assert all(part in connect for part in (session_ends, few, small))
+
+
+async def test_every_session_of_mqtt_3_is_clean() -> None:
+    """Clean session, each time."""
+    async with Impostor(None) as broker, running(broker.port, version="3.1.1"):
+        with Log() as log:
+            await log.until(lambda lines: len(lines) >= 2)
+        assert all(connect[connect.index(b"MQTT") + 5] & 0x02 for connect in broker.heard[:2])
+
+
+def test_small_messages_go_at_once_and_few_wait_in_the_kernel() -> None:
+    """A number does not wait for the acknowledgement of the last one; a queue that nobody can bound is short."""
+    with socket.socket() as sock:
+        bridge_module._set_up(sock)
+        assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+        assert sock.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF) <= 2 * bridge_module.SEND_BUFFER
 
 
 @pytest.mark.hazard("H18")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import ssl
 import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ import pytest
 
 from tests.mosquitto import Mosquitto, Subscriber
 from tests.mqtt.certificates import Authority
-from tests.mqtt.rig import FREQUENCY, ROOT, STATUS, Log, running
+from tests.mqtt.rig import FREQUENCY, ROOT, STATUS, Impostor, Log, running
 
 pytestmark = pytest.mark.e2e
 PASSWORD = "correct-horse-battery"  # noqa: S105  (of a broker that lives for a second)
@@ -119,6 +120,18 @@ async def test_tls_with_a_client_certificate(authority: Authority, version: str)
             assert heard.on(STATUS)[-1] == "offline"
 
 
+async def test_all_of_a_tls_record_is_read(authority: Authority) -> None:
+    """Two packets in one record: the socket is silent about the second, which TLS holds already."""
+    certificate, key = authority.issue("impostor", "IP:127.0.0.1")
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    context.load_cert_chain(certificate, key)
+    accepts_and_throws_out = bytes.fromhex("20 03 00 00 00 e0 02 89 00")
+    async with Impostor(accepts_and_throws_out, context) as broker:
+        with Log() as log:
+            async with running(0, url=f"mqtts://127.0.0.1:{broker.port}", tls={"ca": str(authority.certificate)}):
+                await log.until_said("Server busy (reason code 89H)")
+
+
 async def test_a_missing_client_certificate_is_explained(authority: Authority) -> None:
     """TLS 1.3 says so after the handshake only."""
     with Mosquitto(*tls_lines(authority, "strict", "IP:127.0.0.1", is_client_asked=True)) as broker, Log() as log:
@@ -130,7 +143,6 @@ async def test_a_missing_client_certificate_is_explained(authority: Authority) -
             await log.until_said("set mqtt.tls.certificate and mqtt.tls.key")
 
 
-@pytest.mark.hazard("H32")
 @pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")
 async def test_a_broker_that_cannot_prove_itself_is_not_talked_to(authority: Authority, tmp_path: Path) -> None:
     """Signed by somebody else, or in another's name: closed, explained, and no CONNECT sent."""
