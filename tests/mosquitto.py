@@ -172,7 +172,7 @@ class Subscriber:
         assert self._process is not None
         assert self._task is not None
         if self._process.returncode is None:
-            self._process.terminate()
+            self._process.kill()  # mosquitto_sub forgets a SIGTERM that comes at a bad moment
         await self._process.wait()
         await self._task
 
