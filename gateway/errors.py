@@ -42,6 +42,7 @@ class Refusal(Enum):
 class Refused(GatewayError):
     """The drive understood and said no: do not retry."""
 
-    def __init__(self, message: str, reason: Refusal) -> None:
+    def __init__(self, message: str, reason: Refusal, is_tripped: bool | None = None) -> None:
         super().__init__(message)
         self.reason = reason
+        self.is_tripped = is_tripped  # None where the protocol does not say

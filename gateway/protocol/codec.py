@@ -2,9 +2,45 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from enum import Enum
 from typing import Protocol
 
+from gateway.errors import GatewayError
 from gateway.protocol.pdu import Reply, Request
+
+
+class NoSuchForm(GatewayError):
+    """The protocol has no frame for this request: plan another one; nothing was sent."""
+
+
+class Answering(Enum):
+    """Whether a request is answered."""
+
+    ALWAYS = "always"
+    MAYBE = "by the representative where there is one, or only to refuse"
+    NEVER = "never"
+
+
+@dataclass(frozen=True, slots=True)
+class Forms:
+    """What a protocol has, whatever the model.
+
+    `numbers` are those that a drive can be addressed by. `has_direct_block` is a read of consecutive numbers,
+    `has_block` the indirect block, `has_exchange` a block written and read in one frame, `has_ram_write` a write
+    of a stored parameter that spares the EEPROM, `has_digit_groups` a broadcast to a digit, `says_tripped` a flag
+    in every answer.
+    """
+
+    numbers: range
+    has_direct_block: bool = False
+    has_block: bool = False
+    has_exchange: bool = False
+    has_identification: bool = False
+    has_ram_write: bool = False
+    has_digit_groups: bool = False
+    has_proportional: bool = False
+    says_tripped: bool = False
 
 
 class Decoder(Protocol):
@@ -25,14 +61,28 @@ class Decoder(Protocol):
 
 
 class Codec(Protocol):
-    """One protocol of the drives; holds no state."""
+    """One protocol of the drives; holds no state.
+
+    NoSuchForm from any method: the protocol has no such request, or not for that target or count.
+    """
+
+    name: str
+    forms: Forms
 
     def encode(self, request: Request) -> bytes:
         """Return the frame of a request."""
         ...
 
+    def answering(self, request: Request) -> Answering:
+        """Say whether a request is answered."""
+        ...
+
     def answer_size(self, request: Request) -> int:
-        """Return how many characters the normal answer has; the longest where it varies."""
+        """Return how many characters the normal answer has; the longest where it varies, 0 where there is none."""
+        ...
+
+    def least_answer(self, request: Request) -> int:
+        """Return how many characters the shortest possible answer has, a refusal included; 0 where there is none."""
         ...
 
     def decoder(self, request: Request) -> Decoder:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from gateway.errors import Refusal, Refused
 from gateway.protocol.checksum import crc16
+from gateway.protocol.codec import Answering, Forms, NoSuchForm
 from gateway.protocol.pdu import Identify, Identity, ReadBlock, ReadWords, Reply, Request, Words
 
 MAX_ADU = 256  # bytes, number to CRC (MODBUS over Serial Line V1.02)
@@ -26,18 +27,36 @@ REFUSALS = {
 class ModbusRtu:
     """The codec."""
 
+    name = "modbus-rtu"
+    forms = Forms(range(1, 248), has_direct_block=True, has_block=True, has_exchange=True, has_identification=True)
+
     def encode(self, request: Request) -> bytes:
         """Return the frame of a request, CRC included."""
         match request:
-            case ReadWords(number, address, count) | ReadBlock(number, address, count):
+            case ReadWords(int(number), address, count) | ReadBlock(int(number), address, count):
                 body = bytes((number, READ)) + address.to_bytes(2, "big") + count.to_bytes(2, "big")
-            case Identify(number, code):
+            case Identify(int(number), code):
                 body = bytes((number, IDENTIFICATION, MEI_TYPE, code, 0))
+            case _:
+                raise NoSuchForm(f"MODBUS-RTU has no frame for {request}")
         return body + crc16(body)
+
+    def answering(self, request: Request) -> Answering:
+        """Say whether a request is answered."""
+        return Answering.ALWAYS
 
     def answer_size(self, request: Request) -> int:
         """Return the characters of the normal answer; of an identification, the most that is taken."""
-        return LONGEST_IDENTITY if isinstance(request, Identify) else 5 + 2 * request.count
+        match request:
+            case Identify():
+                return LONGEST_IDENTITY
+            case ReadWords() | ReadBlock():
+                return 5 + 2 * request.count
+        raise NoSuchForm(f"MODBUS-RTU has no frame for {request}")
+
+    def least_answer(self, request: Request) -> int:
+        """Return the characters of the shortest answer."""
+        return ERROR_SIZE
 
     def decoder(self, request: Request) -> _Decoder:
         """Return a decoder that waits for the reply to this request."""
@@ -53,6 +72,8 @@ class _Decoder:
 
     def __init__(self, request: Request) -> None:
         function = IDENTIFICATION if isinstance(request, Identify) else READ
+        if not isinstance(request, Identify | ReadWords | ReadBlock) or not isinstance(request.number, int):
+            raise NoSuchForm(f"MODBUS-RTU has no answer to {request}")
         self._request = request
         self._error = bytes((request.number, function | ERROR_FLAG))
         if isinstance(request, Identify):

@@ -1,0 +1,10 @@
+"""The protocols of the drives by the names that a configuration has for them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from gateway.protocol.codec import Codec
+from gateway.protocol.modbus_rtu import ModbusRtu
+
+PROTOCOLS: Mapping[str, Codec] = {codec.name: codec for codec in (ModbusRtu(),)}
