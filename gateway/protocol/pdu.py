@@ -64,8 +64,9 @@ class ReadBlock:
 class WriteRam:
     """Write one word that is to last until the drive is reset; the drive answers with Written.
 
-    TOSHIBA: P (E6581657 4.2). MODBUS-RTU: 06H, which is RAM-only for registers without a place in the EEPROM and for
-    no others (5.1.4): whoever makes this request has seen to that. A fault reset is not answered (`is_answered`, 7.1).
+    TOSHIBA: P (E6581657 4.2). MODBUS-RTU: 06H, which is RAM-only for registers without a place in the EEPROM
+    and for no others (5.1.4): whoever makes this request has seen to that. A fault reset is not answered
+    (`is_answered`, 7.1).
     """
 
     number: Target
