@@ -179,13 +179,24 @@ class DriveSection(Section):
     """One drive on a line."""
 
     name: TopicLevel
-    number: int = Field(ge=1, le=247, description="inverter number F802")
+    number: int = Field(ge=0, le=247, description="inverter number F802")
     model: str
-    protocol: Literal["modbus-rtu"] = "modbus-rtu"
+    protocol: Literal["modbus-rtu", "toshiba-ascii", "toshiba-binary"] = Field(
+        "modbus-rtu", description="F829; the drives are shipped with TOSHIBA, ASCII and binary at the same time"
+    )
     unit: int | None = Field(None, ge=1, le=247, description="MODBUS-TCP unit id; the number by default")
+    provision: bool = Field(
+        False, description="set F875-F879 (and F870-F871) where they differ from what is best: wears the EEPROM once"
+    )
     wait_time: Duration = Field(0.0, ge=0, le=2, description="F805 as set in the drive")
     poll: list[PollSection] = Field([], description="the model's profile where empty")
     deadband: dict[ValueName, Deadband] = Field({}, description="like mqtt.deadband, for this drive")
+
+class GroupSection(Section):
+    """Drives of one line that are written to together."""
+
+    name: TopicLevel
+    drives: list[TopicLevel] = Field(min_length=1)
 
 def _port(value: str) -> str:
     if "://" in value and not value.startswith("socket://"):
@@ -212,6 +223,7 @@ class LineSection(Section):
     probe_every: Duration = Field(seconds("1s"), gt=0, description="first interval of tries")
     probe_at_most: Duration = Field(seconds("5s"), gt=0, description="longest interval of tries")
     drive: list[DriveSection] = Field(min_length=1)
+    group: list[GroupSection] = Field([], description="drives that are written to together")
 
 class Config(Section):
     """The whole file."""

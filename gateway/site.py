@@ -15,11 +15,13 @@ from gateway.drives.catalogue import Catalogue
 from gateway.drives.model import Model
 from gateway.drives.register import Derived, Register
 from gateway.errors import BadConfig
+from gateway.protocol.codec import Codec
+from gateway.protocol.pdu import ReadWords
+from gateway.protocol.registry import PROTOCOLS
 from gateway.protocol.timing import LineTiming
 
 SERIAL_MARGIN = 0.050  # seconds; a USB adapter without low-latency mode holds an answer back by up to 16 ms
 SOCKET_MARGIN = 0.250  # seconds; a serial server adds its packing time and the network's
-SINGLE_READ = (8, 7)  # characters of a MODBUS-RTU single read and of its answer (E6581657 5.1.1)
 LEAST_MAX_AGE = 1.0  # seconds; below it, one lost frame would make a value stale
 MAX_AGE_PERIODS = 3
 
@@ -59,11 +61,25 @@ class Drive:
     points: Mapping[str, Point]
     derived: tuple[Derived, ...]
     deadband: Mapping[str, float]
+    provision: bool = False
+
+    @property
+    def codec(self) -> Codec:
+        """Return the codec of the protocol that the drive speaks."""
+        return PROTOCOLS[self.protocol]
 
     @property
     def bases(self) -> tuple[Register, ...]:
         """Return the registers that derived values are computed from, each once."""
         return tuple(self.model.registers[name] for name in dict.fromkeys(d.base for d in self.derived))
+
+
+@dataclass(frozen=True, slots=True)
+class DriveGroup:
+    """Drives of one line, by name, that are written to together."""
+
+    name: str
+    drives: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +95,7 @@ class Line:
     probe_every: float
     probe_at_most: float
     drives: tuple[Drive, ...]
+    groups: tuple[DriveGroup, ...] = ()
 
     @property
     def timing(self) -> LineTiming:
@@ -141,18 +158,51 @@ def _contradictions(table: Mapping[str, Any], models: Catalogue) -> list[str]:
         if isinstance(line, dict):
             for key in ("name", "port"):
                 wrong += _only_once(once, f"line {key}", line.get(key), f"line[{i}].{key}")
+            wrong += _group_contradictions(once, line, f"line[{i}]")
     for key, line, drive in configuration.valid_parts(table):
         label = f"{key} ({drive.name})"
         wrong += _only_once(once, "drive name", drive.name, f"{label}.name")
         unit = drive.number if drive.unit is None else drive.unit
         hint = "" if drive.unit else "; give this drive a unit of its own"
         wrong += _only_once(once, "MODBUS-TCP unit", unit, f"{label}.unit", hint)
-        wrong += _only_once(once, f"number on line {line.get('name')}", drive.number, f"{label}.number")
+        wrong += _wrong_number(label, drive)
+        family = "MODBUS-RTU" if drive.protocol == "modbus-rtu" else "TOSHIBA"
+        wrong += _only_once(once, f"{family} number on line {line.get('name')}", drive.number, f"{label}.number")
         if drive.model not in models:
             wrong.append(f"{label}.model: no model {drive.model!r}; known: {', '.join(sorted(models))}")
             continue
         wrong += _unknown_values(label, drive, models[drive.model])
     return wrong + list(_unknown_deadbands(table, models))
+
+
+def _wrong_number(label: str, drive: DriveSection) -> Iterator[str]:
+    """Find a number that the drive's protocol or the MODBUS-TCP server cannot address."""
+    numbers = PROTOCOLS[drive.protocol].forms.numbers
+    if drive.number not in numbers:
+        known = f"{numbers.start} to {numbers.stop - 1}"
+        yield f"{label}.number: {drive.protocol} has the numbers {known} (given: {drive.number})"
+    elif drive.number == 0 and drive.unit is None:
+        yield f"{label}.unit: number 0 is no MODBUS-TCP unit id; give this drive one of 1 to 247"
+
+
+def _group_contradictions(once: dict[tuple[str, object], str], line: Mapping[str, Any], label: str) -> Iterator[str]:
+    """Find groups with one name, and members that are not on the line or named twice."""
+    drives = line.get("drive")
+    names = [drive.get("name") for drive in drives if isinstance(drive, dict)] if isinstance(drives, list) else []
+    groups = line.get("group", [])
+    for i, group in enumerate(groups if isinstance(groups, list) else []):
+        if not isinstance(group, dict):
+            continue
+        key = f"{label}.group[{i}]"
+        yield from _only_once(once, "group name", group.get("name"), f"{key}.name")
+        members = group.get("drives")
+        members = members if isinstance(members, list) else []
+        for member in dict.fromkeys(members):
+            if member not in names:
+                known = ", ".join(map(str, names))
+                yield f"{key}.drives: no drive {member!r} on this line; known: {known}"
+            if members.count(member) > 1:
+                yield f"{key}.drives: {member!r} is named more than once"
 
 
 def _unknown_deadbands(table: Mapping[str, Any], models: Catalogue) -> Iterator[str]:
@@ -206,6 +256,7 @@ def _line(section: LineSection, models: Catalogue) -> Line:
         probe_every=section.probe_every,
         probe_at_most=section.probe_at_most,
         drives=tuple(_drive(section.name, drive, models[drive.model], pace) for drive in section.drive),
+        groups=tuple(DriveGroup(group.name, tuple(group.drives)) for group in section.group),
     )
 
 
@@ -227,7 +278,9 @@ LEAST_REST = 0.1  # share of the line that polls without a period are reckoned t
 def _pace(section: LineSection, models: Catalogue, timing: LineTiming) -> _Pace:
     load = turn = 0.0
     for drive in section.drive:
-        single = timing.exchange(*SINGLE_READ, models[drive.model].times.processing + drive.wait_time)
+        codec, read = PROTOCOLS[drive.protocol], ReadWords(drive.number, 0)
+        size, answer = len(codec.encode(read)), codec.answer_size(read)
+        single = timing.exchange(size, answer, models[drive.model].times.processing + drive.wait_time)
         for poll in _polls(drive, models[drive.model]):
             if poll.every:
                 load += len(poll.values) * single / poll.every
@@ -262,6 +315,7 @@ def _drive(line: str, section: DriveSection, model: Model, pace: _Pace) -> Drive
         points=points,
         derived=tuple(d for d in model.derived if d.of in points),
         deadband=section.deadband,
+        provision=section.provision,
     )
 
 
