@@ -55,7 +55,7 @@ lock: $(VENV)/.dev ## bring the lock files up to pyproject.toml (LOCK_ARGS=--upg
 	$(BIN)/python -m tools.locks
 
 programs: # what the tests start beside Python
-	@tools/need-packages "make test" mosquitto:mosquitto mosquitto_sub:mosquitto-clients mbpoll:mbpoll
+	@tools/need-packages "make test" mosquitto:mosquitto mosquitto_sub:mosquitto-clients mbpoll:mbpoll tshark:tshark
 
 clean: ## remove what make has made
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
