@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from gateway.bus.blocks import Abilities, BlockMapping, PlannedRead, Planner
+from gateway.bus import selectors
+from gateway.bus.blocks import Abilities, PlannedRead, Planner
 from gateway.bus.reader import DriveReader
 from gateway.protocol.pdu import ReadBlock
 from gateway.site import Drive, Line, PollGroup, Site
@@ -35,27 +36,12 @@ class DrivePlan:
 
 def plan_drive(drive: Drive, line: Line, *, with_selectors: bool) -> DrivePlan:
     """Plan a drive as it is shipped (no selectors set), or with the best selectors set."""
-    planner = Planner(drive.number, drive.model, line.timing, drive.model.times.processing + drive.wait_time)
+    processing = drive.model.times.processing + drive.wait_time
+    planner = Planner(drive.number, drive.model, drive.codec, line.timing, processing)
     reader = DriveReader(drive, planner, 0.0)
-    codes, mapping = best_selectors(drive) if with_selectors else ((), None)
-    reader.able = Abilities(mapping=mapping)
+    codes = selectors.best(drive) if with_selectors and planner.has_block else ()
+    reader.able = Abilities(mapping=selectors.mapping_of(drive.model, codes))
     return DrivePlan(drive, planner, codes, reader.plan())
-
-
-def best_selectors(drive: Drive) -> tuple[tuple[int, ...], BlockMapping | None]:
-    """Return the values for F875-F879 that bring the most often wanted registers in the block."""
-    length = drive.model.blocks.indirect_read_maximum
-    code_of = {name: code for code, name in drive.model.read_selectors.items() if name}
-    wanted = [
-        register.name
-        for group in sorted(drive.groups, key=lambda group: group.period)
-        for register in group.registers
-        if register.name in code_of
-    ]
-    names = list(dict.fromkeys(wanted))[:length]
-    if not names:
-        return (), None
-    return tuple(code_of[name] for name in names), tuple(drive.model.registers[name] for name in names)
 
 
 def report(site: Site) -> Iterator[str]:

@@ -19,7 +19,11 @@ class Alarm(Protocol):
     """A single waiter's timer, exact to some ten microseconds where the system allows."""
 
     async def wait_until(self, when: float) -> None:
-        """Return at `when` (monotonic seconds), never before it."""
+        """Return at `when` (monotonic seconds), never before it unless it is rung."""
+        ...
+
+    def ring(self) -> None:
+        """Let the waiter, if there is one, return at once."""
         ...
 
     def close(self) -> None:
@@ -65,9 +69,17 @@ class SystemClock:
 class _LoopAlarm:
     """Wait by the event loop's timers; uvloop's count whole milliseconds, so it may be late by one."""
 
+    def __init__(self) -> None:
+        self._rung = asyncio.Event()
+
     async def wait_until(self, when: float) -> None:
-        while (left := when - time.monotonic()) > 0:  # noqa: ASYNC110  (there is no event but time itself)
-            await asyncio.sleep(left + LOOP_TIMER_STEP)
+        self._rung.clear()
+        while (left := when - time.monotonic()) > 0 and not self._rung.is_set():
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._rung.wait(), left + LOOP_TIMER_STEP)
+
+    def ring(self) -> None:
+        self._rung.set()
 
     def close(self) -> None:
         """Do nothing: there is nothing to give back."""
@@ -113,6 +125,9 @@ class _TimerFd:
     def _rang(self) -> None:
         with contextlib.suppress(BlockingIOError):  # set anew between ringing and reading
             os.read(self._fd, 8)
+        self.ring()
+
+    def ring(self) -> None:
         if self._waiter is not None and not self._waiter.done():
             self._waiter.set_result(None)
 

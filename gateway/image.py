@@ -84,6 +84,8 @@ class DriveImage:
         self.link = LinkState.STARTING
         self.reason = "not heard yet"
         self.identity: Mapping[str, str] = {}
+        self.is_tripped: bool | None = None  # by the last answer of any kind; None while that is not known
+        self.is_reset_needed = False  # settings wait for a reset of the drive
         self.bases: dict[str, Decimal] = {}
         self.version = 0  # of the words: one more with each answer
         self.revision = 0  # of words and link: one more with each change of either
@@ -146,9 +148,24 @@ class DriveImage:
         self._unreadable = None
         if not link.is_connected:
             self._unreadable = Missing.LINE_DOWN if link is LinkState.LINE_DOWN else Missing.NOT_FRESH
+            self.is_tripped = None
             for segment in self._segments:
                 segment.end_freshness()
         if is_new:
+            self._tell(())
+
+    def set_tripped(self, is_tripped: bool | None) -> None:
+        """Take whether the drive is tripped; the listeners are told of a change as of one of the link."""
+        if is_tripped is not self.is_tripped:
+            self.is_tripped = is_tripped
+            self.revision += 1
+            self._tell(())
+
+    def set_reset_needed(self, is_needed: bool) -> None:
+        """Take whether settings wait for a reset of the drive; told like a change of the link."""
+        if is_needed is not self.is_reset_needed:
+            self.is_reset_needed = is_needed
+            self.revision += 1
             self._tell(())
 
     def sweep(self, now: float) -> None:

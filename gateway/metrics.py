@@ -65,7 +65,10 @@ class LineStats:
 
 @dataclass(slots=True)
 class DriveStats:
-    """One drive. `answers` is the time from the end of a request to the end of its answer."""
+    """One drive. `answers` is the time from the end of a request to the end of its answer.
+
+    `eeprom_writes` counts writes to the EEPROM by communication number, those that got no answer left out.
+    """
 
     exchanges: int = 0
     timeouts: int = 0
@@ -74,6 +77,7 @@ class DriveStats:
     answers: Histogram = field(default_factory=lambda: Histogram(ANSWER_BOUNDS))
     longest_gap: float = 0.0
     last_heard: float = float("-inf")
+    eeprom_writes: Counter[int] = field(default_factory=Counter)
 
 
 @dataclass(slots=True)

@@ -47,14 +47,25 @@ def _wake(waiter: asyncio.Future[None]) -> None:
 class VirtualAlarm:
     """A timer of the virtual clock; exact."""
 
+    def __init__(self) -> None:
+        self._waiter: asyncio.Future[None] | None = None
+
     async def wait_until(self, when: float) -> None:
         """Return at `when`."""
         loop = asyncio.get_running_loop()
         if when <= loop.time():
             return
-        waiter = loop.create_future()
-        loop.call_at(when, _wake, waiter)
-        await waiter
+        self._waiter = loop.create_future()
+        timer = loop.call_at(when, _wake, self._waiter)
+        try:
+            await self._waiter
+        finally:
+            timer.cancel()
+
+    def ring(self) -> None:
+        """Let the waiter return at once."""
+        if self._waiter is not None:
+            _wake(self._waiter)
 
     def close(self) -> None:
         """Do nothing."""

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 from gateway.drives.model import Model
 from gateway.drives.register import Register
-from gateway.protocol.pdu import ReadBlock, ReadWords
+from gateway.protocol.codec import Codec
+from gateway.protocol.pdu import ReadBlock, ReadWords, Request
 from gateway.protocol.timing import LineTiming
 
 HOLE = 0x8000  # what a direct block carries where no number exists (E6581657 5.1.3): not a value
-REQUEST_SIZE = 8  # characters of a MODBUS-RTU read (E6581657 5.1.1)
-ANSWER_OVERHEAD = 5  # number, function, byte count, CRC
 
 BlockMapping = tuple[Register | None, ...]  # what each word of the indirect block carries, as far as trusted
 
@@ -70,20 +69,27 @@ def area(address: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Planner:
-    """Plans reads for one drive: number, model, line arithmetic, and the drive's processing time in seconds."""
+    """Plans reads for one drive: number, model, protocol, line arithmetic, and its processing time in seconds."""
 
     number: int
     model: Model
+    codec: Codec
     timing: LineTiming
     processing: float
 
-    def cost(self, words: int) -> float:
-        """Return the seconds that a read of that many words takes, gap to gap."""
-        return self.timing.exchange(REQUEST_SIZE, ANSWER_OVERHEAD + 2 * words, self.processing)
+    def cost(self, request: Request) -> float:
+        """Return the seconds that an exchange takes, gap to gap."""
+        size, answer = len(self.codec.encode(request)), self.codec.answer_size(request)
+        return self.timing.exchange(size, answer, self.processing)
 
     def time(self, reads: Iterable[PlannedRead]) -> float:
         """Return the seconds that these reads take together."""
-        return sum(self.cost(read.request.count) for read in reads)
+        return sum(self.cost(read.request) for read in reads)
+
+    @property
+    def has_block(self) -> bool:
+        """Say whether model and protocol have the indirect block."""
+        return self.codec.forms.has_block and self.model.blocks.indirect_read_maximum > 0
 
     def plan(self, wanted: Sequence[Register], able: Abilities) -> tuple[PlannedRead, ...]:
         """Return the reads that bring every wanted register once, in the least wire time.
@@ -101,7 +107,7 @@ class Planner:
 
     def _indirect_blocks(self, able: Abilities) -> Iterable[PlannedRead]:
         forms = self.model.blocks
-        if able.mapping is None or not forms.indirect_read_maximum:
+        if able.mapping is None or not self.has_block:
             return
         longest = min(forms.indirect_read_maximum, len(able.mapping))
         for count in range(forms.indirect_read_minimum, longest + 1):
@@ -119,7 +125,7 @@ class Planner:
                 if read is None:
                     break
                 cost, rest = best[len(order) - 1 - last]
-                options.append((cost + self.cost(read.request.count), (read, *rest)))
+                options.append((cost + self.cost(read.request), (read, *rest)))
             best.append(min(options, key=lambda option: option[0]))
         return best[-1][1]
 
@@ -128,6 +134,8 @@ class Planner:
         start = run[0].address
         if len(run) == 1:
             return PlannedRead(ReadWords(self.number, start), (run[0],))
+        if not self.codec.forms.has_direct_block:
+            return None
         span = run[-1].address - start + 1
         if span > self.model.blocks.direct_read_maximum or area(start) != area(run[-1].address):
             return None

@@ -9,8 +9,8 @@ from gateway.bus.line import Line
 from gateway.clock import Clock
 from gateway.errors import BadReply, NoReply, Refused
 from gateway.metrics import LineStats
-from gateway.protocol.codec import Codec
-from gateway.protocol.pdu import Reply, Request
+from gateway.protocol.codec import Answering, Codec
+from gateway.protocol.pdu import Identity, Reply, Request
 from gateway.protocol.timing import LineTiming
 
 frames = logging.getLogger("gateway.bus.frames")
@@ -21,9 +21,12 @@ UNTIMED_AFTER = 2  # early answers in a row, none on time before: a pseudo-termi
 
 @dataclass(frozen=True, slots=True)
 class Answered:
-    """A reply and its times: request begun, request ended, answer whole (monotonic seconds)."""
+    """A reply and its times: request begun, request ended, answer whole (monotonic seconds).
 
-    reply: Reply
+    `reply` is None where no answer is no fault: nobody answers such a request, or nobody need.
+    """
+
+    reply: Reply | None
     begun: float
     sent: float
     done: float
@@ -51,18 +54,27 @@ class Exchanger:
         """Send a request and return its answer.
 
         NoReply: silence. BadReply: other bytes came. Refused: the drive said no. After the first two the line
-        has been drained. LineDown passes through.
+        has been drained. LineDown and NoSuchForm pass through; after the latter nothing was sent.
         """
         frame = codec.encode(request)
+        answering = codec.answering(request)
         begun = await self._line.write(frame)
         if is_traced := frames.isEnabledFor(logging.DEBUG):
             frames.debug("tx %s", frame.hex(" "))
         self._stats.exchanges += 1
         self._stats.gaps.observe(begun - self._last_end)
         sent = begun + self._timing.request(len(frame))
+        reply: Reply | None = None
         try:
-            reply = await self._answer(codec, request, frame, begun, sent, processing)
-        except (NoReply, BadReply):
+            if answering is Answering.NEVER:
+                await self._let_pass(sent + self._timing.gap + processing)
+            else:
+                reply = await self._answer(codec, request, frame, begun, sent, processing)
+        except NoReply:
+            await self._line.drain(self._timing.gap, self._margin)
+            if answering is not Answering.MAYBE:
+                raise
+        except BadReply:
             await self._line.drain(self._timing.gap, self._margin)
             raise
         finally:
@@ -73,11 +85,16 @@ class Exchanger:
             frames.debug("rx %s after %.1f ms", reply, (done - sent) * 1000)
         return Answered(reply, begun, sent, done)
 
+    async def _let_pass(self, until: float) -> None:
+        """Wait until the drives have worked on a request that nobody answers: they hear nothing before."""
+        while await self._line.read(until):
+            pass  # an adapter's echo
+
     async def _answer(
         self, codec: Codec, request: Request, frame: bytes, begun: float, sent: float, processing: float
     ) -> Reply:
         """Wait for the first character, then for the rest."""
-        size = codec.answer_size(request)
+        size, least = codec.answer_size(request), codec.least_answer(request)
         deadline = sent + self._timing.gap + processing + self._margin
         decoder = codec.decoder(request)
         is_started = False
@@ -92,12 +109,12 @@ class Exchanger:
             try:
                 reply = decoder.next_reply()
             except Refused:
-                if self._is_credible(begun, sent, 5):
+                if self._is_credible(begun, sent, least):
                     raise
                 reply = None
                 decoder = codec.decoder(request)
             if reply is not None:
-                if self._is_credible(begun, sent, self._least_answer(request, size)):
+                if self._is_credible(begun, sent, least if isinstance(reply, Identity) else size):
                     return reply
                 decoder = codec.decoder(request)
         received = decoder.received
@@ -107,9 +124,6 @@ class Exchanger:
             self._stats.errors["echo"] += 1
             raise NoReply(f"number {request.number}: only the echo of the request; the drive does not answer")
         raise BadReply(f"number {request.number}: {len(received)} bytes that are no answer: {received[:32].hex(' ')}")
-
-    def _least_answer(self, request: Request, size: int) -> int:
-        return size if hasattr(request, "count") else 5
 
     def _is_credible(self, begun: float, sent: float, answer: int) -> bool:
         """Say whether an answer may be whole by now; count and refuse it where the wire does not allow that."""

@@ -6,55 +6,37 @@ Pure: it is told what was answered or refused, and says what was learnt and what
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from enum import Enum
+from dataclasses import replace
 
 from gateway.bus import selectors
 from gateway.bus.blocks import Abilities, BlockMapping, PlannedRead, Planner, area
+from gateway.bus.provision import RESET_MARK, Provision, selector_registers
 from gateway.bus.schedule import Job, spread
+from gateway.bus.setpoint import Setpoint, selected
+from gateway.bus.work import Learnt, Task, Work
 from gateway.drives.register import Register
 from gateway.errors import Refusal, Refused
-from gateway.protocol.pdu import Identify, Identity, ReadBlock, ReadWords, Reply, Request, Words
+from gateway.protocol.pdu import (
+    Exchange,
+    Exchanged,
+    Identify,
+    Identity,
+    ReadBlock,
+    ReadWords,
+    Reply,
+    Request,
+    Words,
+    Written,
+)
 from gateway.site import Drive, PollGroup
 
 FIRST_WITHIN = 0.5  # seconds after a drive is ready, for values that are read seldom
 RECHECK_EVERY = 60.0  # seconds between two looks at F875-F879, which somebody may change at the panel
+RECHECK_SOON = 5.0  # the same while a reset is awaited, or while the block carries the display's text
 IDENTITY_REGISTERS = ("capacity_code", "cpu_version", "series_code")  # FB05, FE08, FB07
-
-
-class Task(Enum):
-    """What a piece of work is for."""
-
-    IDENTIFY = "identify"
-    FACT = "fact"
-    PROVE_BLOCK = "prove block"
-    PROVE_SINGLE = "prove single"
-    POLL = "poll"
-    RECHECK = "recheck"
-    AUDIT = "audit"
-    CONFIRM = "confirm"
-
-
-@dataclass(frozen=True, slots=True)
-class Work:
-    """One exchange for one drive: its request, and how its words are to be understood."""
-
-    task: Task
-    request: Request
-    read: PlannedRead | None = None
-
-
-@dataclass(slots=True)
-class Learnt:
-    """What an answer brought. `jobs` replaces all that is done for the drive; `once` is to be done at once."""
-
-    words: list[tuple[int, int]] = field(default_factory=list)
-    jobs: list[Job[Work]] | None = None
-    once: list[Work] = field(default_factory=list)
-    stranger: str = ""
-    is_ready: bool = False
-    notes: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
+BLOCK_MODE = "block_mode"  # FA80: 1 makes the block carry the display's text (E6581657 7.3.1)
+SERIES = "series_code"
+TRIP_REGISTERS = ("trip_code", "status")  # FC90, FD01: what is read at once when a drive trips or no longer does
 
 
 class DriveReader:
@@ -80,29 +62,46 @@ class DriveReader:
         self._pending: Work | None = None
         self._proofs = 0
         self._as_set: BlockMapping | None = None
+        self._refuted: BlockMapping | None = None
+        self._provision = Provision(drive)
+        self._before: BlockMapping | None = None  # what was in force before the selectors were provisioned
+        self._no_display: tuple[int, ...] = ()  # the last block that looked like the display's text and was not
+        self.setpoint: Setpoint | None = None
+        self._writes_in_force: tuple[str, ...] = ()
+        self._is_setpoint_proven = False
 
     # ---- who is there
 
     def identify(self) -> Work:
-        """Return the question who is there: 2BH, and every third time a plain read, for drives that know no 2BH.
+        """Return the question who is there.
 
-        A drive that has answered 2BH, rightly or as a stranger, is asked nothing else; one that was set up
-        without is asked by plain reads.
+        MODBUS-RTU: 2BH, and every third time a plain read, for drives that know no 2BH; one that has answered
+        2BH, rightly or as a stranger, is asked nothing else; one that was set up without is asked by plain reads.
+        TOSHIBA: the series code where the model has a known one, else a plain read.
         """
         self._tries += 1
-        status = self.drive.model.registers.get("status")
-        is_plain = not self._knows_identification and (self.is_set_up or self._tries % 3 == 0)
-        if is_plain and status is not None:
-            return Work(Task.IDENTIFY, ReadWords(self.drive.number, status.address))
-        return Work(Task.IDENTIFY, Identify(self.drive.number))
+        plain = self._plain_identification()
+        if self._planner.codec.forms.has_identification:
+            is_plain = not self._knows_identification and (self.is_set_up or self._tries % 3 == 0)
+            if not is_plain or plain is None:
+                return Work(Task.IDENTIFY, Identify(self.drive.number))
+        if plain is None:
+            plain = next(iter(self.drive.points.values())).register
+        return Work(Task.IDENTIFY, ReadWords(self.drive.number, plain.address), self._alone(plain))
+
+    def _plain_identification(self) -> Register | None:
+        model = self.drive.model
+        has_series = model.series_code is not None and not self._planner.codec.forms.has_identification
+        names = (SERIES, "status") if has_series and SERIES not in self.absent else ("status",)
+        return next((model.registers[name] for name in names if name in model.registers), None)
 
     def on_reply(self, work: Work, reply: Reply, now: float) -> Learnt:
         """Take an answer."""
         match work.task, reply:
             case Task.IDENTIFY, Identity():
                 return self._identified(reply, now)
-            case Task.IDENTIFY, Words():
-                return self._resumed(now)
+            case Task.IDENTIFY, Words(words) if work.read is not None:
+                return self._answers(work.read.registers[0], words[0], now)
             case Task.FACT, Words(words) if work.read is not None:
                 return self._fact(work.read, words, now)
             case (Task.PROVE_BLOCK | Task.PROVE_SINGLE), Words(words):
@@ -114,6 +113,18 @@ class DriveReader:
                 return Learnt(work.read.values(words))
             case Task.POLL, Words(words) if work.read is not None:
                 return self._polled(work.read, words, now)
+            case Task.POLL, Exchanged(words, failed) if work.read is not None:
+                return self._exchanged(work.read, words, failed, now)
+            case Task.TRIP, Words(words) if work.read is not None:
+                return Learnt(work.read.values(words))
+            case Task.BLOCK_MODE, Words(words):
+                return self._block_mode(words[0], now)
+            case Task.PROVISION, Written() if work.register is not None:
+                return self._provisioned(work.register, now)
+            case Task.SETPOINT, Written() if work.register is not None:
+                return Learnt(once=[self._verification(work.register)])
+            case Task.VERIFY, Words(words) if work.read is not None:
+                return self._verified(work.read, words[0], now)
         return Learnt()
 
     def _identified(self, identity: Identity, now: float) -> Learnt:
@@ -130,11 +141,25 @@ class DriveReader:
         self.identity = identity
         return self._resumed(now) if is_same else self._set_up(now)
 
+    def _answers(self, register: Register, word: int, now: float) -> Learnt:
+        """Take a plain read as the sign that somebody is there; the series code says who."""
+        series = self.drive.model.series_code
+        if register.name == SERIES and word != series:
+            self.is_set_up = False
+            self._pending = None
+            return Learnt(
+                stranger=f"identity mismatch: {self.drive.model.name} has series code {series}, {word} answers"
+            )
+        return self._resumed(now)
+
     def _resumed(self, now: float) -> Learnt:
-        """Go on where a lost frame broke in: with the polls, or with the step of the set-up that got no answer."""
+        """Go on where a lost frame broke in: with the polls, or with the step of the set-up that got no answer.
+
+        A write to the EEPROM that got no answer may have been done: that is read before it is made again.
+        """
         if self.is_set_up:
             return Learnt(is_ready=True)
-        if self._pending is not None:
+        if self._pending is not None and self._pending.task is not Task.PROVISION:
             return Learnt(jobs=[self._at_once(self._pending, now)])
         return self._set_up(now)
 
@@ -157,7 +182,8 @@ class DriveReader:
         """Read, one after another, what must be known before polling: identity codes, selectors, bases."""
         self.is_set_up = False
         model = self.drive.model
-        wanted = [model.registers[name] for name in IDENTITY_REGISTERS if name in model.registers]
+        names = (*IDENTITY_REGISTERS, *((BLOCK_MODE, RESET_MARK) if self._planner.has_block else ()))
+        wanted = [model.registers[name] for name in names if name in model.registers]
         wanted += [*self._selector_registers(), *self.drive.bases]
         if self.able.mapping is not None and self.able.mapping not in self._candidates:
             self._candidates.insert(0, self.able.mapping)
@@ -167,13 +193,14 @@ class DriveReader:
         return self._next_fact(now)
 
     def _selector_registers(self) -> list[Register]:
+        """Return F870-F871 and F875-F879, where model and protocol have blocks."""
         connector = self.drive.model.connector()
-        names = connector.block_read if connector else ()
-        return [self.drive.model.registers[name] for name in names]
+        writes = [self.drive.model.registers[name] for name in (connector.block_write if connector else ())]
+        return [*writes, *selector_registers(self.drive)] if self._planner.has_block else []
 
     def _next_fact(self, now: float, notes: Sequence[str] = ()) -> Learnt:
         if not self._missing:
-            return self._start_proof(now, notes)
+            return self._next_provision(now, notes)
         read = self._planner.plan(self._missing, self.able)[0]
         return Learnt(jobs=[self._at_once(Work(Task.FACT, read.request, read), now)], notes=list(notes))
 
@@ -191,13 +218,66 @@ class DriveReader:
         self._missing = [r for r in self._missing if r.name not in self.facts]
         return self._next_fact(now)
 
+    def _next_provision(self, now: float, notes: Sequence[str] = ()) -> Learnt:
+        """Write the next selector that is not as wanted, if that is permitted; then go on with the proof."""
+        mapping = self._mapping_as_set()
+        step = self._provision.next(self.facts) if self.drive.provision and self._planner.has_block else None
+        if step is None:
+            return self._start_proof(now, notes)
+        register, request = step
+        if not self._provision.awaits_reset:
+            self._before = mapping
+        self._provision.attempted(register)
+        work = Work(Task.PROVISION, request, register=register)
+        said = f"{register.title or register.name} is set to {request.word} (was {self.facts.get(register.name)})"
+        return Learnt(jobs=[self._at_once(work, now)], notes=[*notes, said])
+
+    def _provisioned(self, register: Register, now: float) -> Learnt:
+        if register.name == RESET_MARK:
+            self.facts[RESET_MARK] = 1
+            return self._next_provision(now)
+        self._provision.acknowledged(register)
+        place = [r.name for r in selector_registers(self.drive)].index(register.name)
+        self.facts[register.name] = selectors.best(self.drive)[place]
+        learnt = self._next_provision(now)
+        learnt.stored.append(register.address)
+        return learnt
+
+    def _not_provisioned(self, register: Register, refused: Refused, now: float) -> Learnt:
+        if register.name != RESET_MARK:
+            self._provision.refused(register)
+        learnt = self._next_provision(now)
+        learnt.warnings.append(f"{register.title or register.name} cannot be set: {refused}")
+        return learnt
+
+    def _mapping_as_set(self) -> BlockMapping | None:
+        codes = [self.facts.get(register.name) for register in selector_registers(self.drive)]
+        return selectors.mapping_of(self.drive.model, codes)
+
     def _start_proof(self, now: float, notes: Sequence[str] = ()) -> Learnt:
-        codes = [self.facts.get(register.name) for register in self._selector_registers()]
-        self._as_set = as_set = selectors.mapping_of(self.drive.model, codes)
+        self._as_set = as_set = self._mapping_as_set()
+        self._writes_in_force = selected(self.drive.model, self.facts)
         self._proofs = 0
-        if as_set is not None and as_set not in self._candidates:
+        self._refuted = None
+        if self._provision.is_marked and self.facts.get(RESET_MARK) == 0:
+            self._provision.reset_seen()
+            self._candidates.clear()
+        if self._provision.is_marked:  # what was set is known not to be in force
+            self._candidates = [self._before] if self._before is not None else []
+        elif as_set is not None and as_set not in self._candidates:
             self._candidates.append(as_set)
+        if self.facts.get(BLOCK_MODE) == 1:
+            self._candidates.clear()
+            return self._start_polls(now, [*notes, "FA80 is 1: the block carries the display's text; it is not used"])
         return self._next_proof(now, notes)
+
+    @property
+    def is_reset_needed(self) -> bool:
+        """Say whether selectors are set that act only after a reset of the drive."""
+        as_set, mapping = self._as_set, self.able.mapping
+        if as_set is None or self._provision.awaits_reset:
+            return self._provision.awaits_reset and as_set != self._before
+        return as_set == self._refuted or (mapping is not None and mapping != as_set)
 
     def _next_proof(self, now: float, notes: Sequence[str] = ()) -> Learnt:
         """Try the next mapping that may be in force: block, single reads, block."""
@@ -238,7 +318,10 @@ class DriveReader:
             return self._next_proof(now)
         self._proofs = 0
         self._candidates.pop(0)
+        self._refuted = None if is_right else mapping
         if is_right:
+            if mapping == self._as_set:
+                self._provision.reset_seen()
             self._candidates.clear()
             self.able = replace(self.able, mapping=mapping)
             return self._start_polls(now)
@@ -292,14 +375,23 @@ class DriveReader:
             unsettled = frozenset(r.name for _, r in watched) - settled
             self._audit = selectors.Audit(watched, proven, unsettled)
             checks.append(self._audit_job(now))
-        registers = self._selector_registers()
-        if registers:
-            reads = self._planner.plan(registers, replace(self.able, mapping=None))
-            for read, offset in zip(reads, spread(len(reads), RECHECK_EVERY), strict=True):
-                due = now + RECHECK_EVERY + offset
-                work = Work(Task.RECHECK, read.request, read)
-                checks.append(Job(self.drive.name, work, RECHECK_EVERY, due, due + RECHECK_EVERY))
-        return checks
+        return checks + self._rechecks(now)
+
+    def _rechecks(self, now: float) -> list[Job[Work]]:
+        """Return the looks at what somebody else may change: the selectors, FA80, and FA87 while it matters."""
+        names = [BLOCK_MODE, RESET_MARK] if self._provision.is_marked else [BLOCK_MODE]
+        registers = [self.drive.model.registers[name] for name in names if name in self.facts]
+        registers += self._selector_registers()
+        if not self._planner.has_block or not registers:
+            return []
+        is_soon = self._provision.is_marked or self.facts.get(BLOCK_MODE) == 1
+        every = RECHECK_SOON if is_soon else RECHECK_EVERY
+        reads = self._planner.plan(registers, replace(self.able, mapping=None))
+        jobs = []
+        for read, offset in zip(reads, spread(len(reads), every), strict=True):
+            due = now + every + offset
+            jobs.append(Job(self.drive.name, Work(Task.RECHECK, read.request, read), every, due, due + every))
+        return jobs
 
     def _audit_job(self, now: float) -> Job[Work]:
         audit = self._audit
@@ -314,7 +406,12 @@ class DriveReader:
         return self._audit_job(now) if work.task is Task.AUDIT and self._audit is not None else None
 
     def _polled(self, read: PlannedRead, words: Sequence[int], now: float) -> Learnt:
-        if isinstance(read.request, ReadBlock) and self._audit is not None and not self._audit.block(words):
+        is_block = isinstance(read.request, ReadBlock)
+        if is_block and self._may_be_display(words):
+            register = self.drive.model.registers[BLOCK_MODE]
+            self._no_display = tuple(words)  # believed next time, unless FA80 says otherwise
+            return Learnt(once=[Work(Task.BLOCK_MODE, ReadWords(self.drive.number, register.address))])
+        if is_block and self._audit is not None and not self._audit.block(words):
             self._audit = None
             learnt = self._set_up(now)
             learnt.warnings.append("the block no longer carries what it did: the drive was reset or set anew")
@@ -325,17 +422,109 @@ class DriveReader:
         once += [Work(Task.POLL, r.request, r) for r in map(self._alone, read.doubtful(words))]
         return Learnt(values, once=once)
 
+    def _may_be_display(self, words: Sequence[int]) -> bool:
+        is_suspect = BLOCK_MODE in self.drive.model.registers and selectors.may_be_display(words)
+        return is_suspect and tuple(words) != self._no_display
+
+    def _block_mode(self, word: int, now: float) -> Learnt:
+        """Take FA80: 1 takes the block away until it is 0 again."""
+        if word != 1 or self.able.mapping is None:
+            return Learnt()
+        self._candidates = [self.able.mapping]
+        self.able = replace(self.able, mapping=None)
+        self.facts[BLOCK_MODE] = 1
+        self._no_display = ()
+        return Learnt(jobs=self.polls(now), notes=["FA80 is 1: the block carries the display's text; it is not used"])
+
     def _untrusted(self, read: PlannedRead, words: Sequence[int]) -> list[Register]:
         is_block = isinstance(read.request, ReadBlock) and self._audit is not None
         return self._audit.untrusted(words) if is_block and self._audit is not None else []
 
     def _rechecked(self, read: PlannedRead, words: Sequence[int], now: float) -> Learnt:
         found = {r.name: word for r, word in zip(read.carries, words, strict=True) if r is not None}
-        if all(self.facts.get(name) in (None, word) for name, word in found.items()):
+        changed = [name for name, word in found.items() if self.facts.get(name) not in (None, word)]
+        if not changed:
             return Learnt(read.values(words))
         learnt = self._set_up(now)
-        learnt.warnings.append("F875-F879 were changed; the change acts after a reset of the drive")
+        titles = ", ".join(self.drive.model.registers[name].title or name for name in changed)
+        if RESET_MARK in changed:
+            learnt.notes.append("the drive was reset")
+        else:
+            learnt.warnings.append(f"changed by somebody else: {titles}; a selector acts after a reset of the drive")
         return learnt
+
+    # ---- its setpoint
+
+    def control(self, setpoint: Setpoint | None) -> Learnt:
+        """Take the words that the drive is to have from now on; None: it is read only.
+
+        They go with every read of the block where F870 and F871 select them, else by writes of their own, once.
+        """
+        self.setpoint = setpoint
+        self._is_setpoint_proven = False
+        if setpoint is None or self._goes_with_block(setpoint):
+            return Learnt()
+        model = self.drive.model
+        once = [Work(Task.SETPOINT, write, register=r) for r, write in setpoint.writes(self.drive.number, model)]
+        return Learnt(once=once, notes=["the setpoint goes by writes of its own: no exchange carries it"])
+
+    def _goes_with_block(self, setpoint: Setpoint) -> bool:
+        has_poll = any(isinstance(read.request, ReadBlock) for _, reads in self.plan() for read in reads)
+        model, codec = self.drive.model, self._planner.codec
+        return has_poll and setpoint.fits(self._writes_in_force, model, codec)
+
+    def request(self, work: Work) -> Request:
+        """Return the frame of a piece of work as it is to be sent now: a block read takes the setpoint along."""
+        if work.task is not Task.POLL or not isinstance(work.request, ReadBlock) or self.setpoint is None:
+            return work.request
+        model = self.drive.model
+        if not self.setpoint.fits(self._writes_in_force, model, self._planner.codec):
+            return work.request
+        return self.setpoint.exchange(work.request, self._writes_in_force, model)
+
+    def _exchanged(self, read: PlannedRead, words: Sequence[int], failed: Sequence[int], now: float) -> Learnt:
+        """Take what an exchange read; the first one's writes are read back: F870 and F871 may not be in force."""
+        learnt = self._polled(read, words, now)
+        if self.setpoint is None:
+            return learnt
+        if failed:
+            names = ", ".join(self._writes_in_force[place] for place in failed)
+            return self._without_exchange(learnt, f"not written by the block: {names}")
+        if not self._is_setpoint_proven:
+            self._is_setpoint_proven = True
+            learnt.once += [self._verification(self.drive.model.registers[name]) for name in self.setpoint.words]
+        return learnt
+
+    def _verification(self, register: Register) -> Work:
+        read = self._alone(register)
+        return Work(Task.VERIFY, read.request, read, register)
+
+    def _verified(self, read: PlannedRead, word: int, now: float) -> Learnt:
+        learnt = Learnt(read.values([word]))
+        register = read.registers[0]
+        if self.setpoint is None or register.name not in self.setpoint.words or self.setpoint.is_held(register, word):
+            return learnt
+        if self._goes_with_block(self.setpoint):
+            reason = f"{register.name} reads {word:04X}H: F870 and F871 are not in force"
+            return self._without_exchange(learnt, reason)
+        learnt.warnings.append(f"{register.name} reads back {word:04X}H, not what was written")
+        return learnt
+
+    def _without_exchange(self, learnt: Learnt, reason: str) -> Learnt:
+        """Give the exchange up until the drive is set up anew, and write the setpoint by itself."""
+        self._writes_in_force = ()
+        again = self.control(self.setpoint)
+        learnt.once += again.once
+        learnt.warnings.append(f"{reason}; single writes instead")
+        return learnt
+
+    # ---- trips
+
+    def on_trip(self) -> Learnt:
+        """Return what is to be read at once when the drive has tripped, or no longer is."""
+        registers = self.drive.model.registers
+        reads = [self._alone(registers[name]) for name in TRIP_REGISTERS if name in registers]
+        return Learnt(once=[Work(Task.TRIP, read.request, read) for read in reads])
 
     # ---- refusals
 
@@ -343,7 +532,16 @@ class DriveReader:
         """Take a refusal: remember it, and serve the values another way."""
         match work:
             case Work(Task.IDENTIFY):
+                self.absent |= {r.name for r in work.read.registers} & {SERIES} if work.read else set()
                 return Learnt(is_ready=True) if self.is_set_up else self._set_up(now)
+            case Work(Task.PROVISION, register=Register() as register):
+                return self._not_provisioned(register, refused, now)
+            case Work(Task.SETPOINT, register=Register() as register):
+                return Learnt(warnings=[f"{register.name} is refused: {refused}"])
+            case Work(Task.TRIP | Task.BLOCK_MODE | Task.VERIFY):
+                return Learnt()
+            case Work(Task.POLL, request=ReadBlock()) if isinstance(self.request(work), Exchange):
+                return self._without_exchange(Learnt(), f"exchange: {refused}")
             case Work(Task.PROVE_BLOCK | Task.PROVE_SINGLE):
                 self._candidates.pop(0)
                 return self._next_proof(now)

@@ -13,7 +13,10 @@ from dataclasses import dataclass, field
 from gateway.bus.blocks import BlockMapping
 from gateway.drives.model import Model
 from gateway.drives.register import Register
+from gateway.site import Drive
 
+DISPLAY_DIGITS = 4  # words of the block that carry the display's characters while FA80 = 1 (E6581657 7.3.1)
+DISPLAY_CODES = range(0x20, 0x100)  # a character, with or without its dot
 TOLERANCE = 50  # counts; a monitored value moves between two reads
 TOLERANCE_SHARE = 0.08  # of the value
 DISAGREEMENTS = 2  # of one register in a row, before a mapping is given up
@@ -27,6 +30,25 @@ def mapping_of(model: Model, selectors: Sequence[int | None]) -> BlockMapping | 
     names = [model.read_selectors.get(code, "") if code is not None else "" for code in selectors]
     mapping = tuple(model.registers[name] if name else None for name in names)
     return mapping if any(mapping) else None
+
+
+def best(drive: Drive) -> tuple[int, ...]:
+    """Return the values for F875-F879 that bring the most often wanted registers in the block."""
+    code_of = {name: code for code, name in drive.model.read_selectors.items() if name}
+    wanted = [
+        register.name
+        for group in sorted(drive.groups, key=lambda group: group.period)
+        for register in group.registers
+        if register.name in code_of
+    ]
+    length = drive.model.blocks.indirect_read_maximum
+    return tuple(code_of[name] for name in list(dict.fromkeys(wanted))[:length])
+
+
+def may_be_display(words: Sequence[int]) -> bool:
+    """Say whether a block looks like the display's text, which it carries while FA80 = 1."""
+    digits = words[:DISPLAY_DIGITS]
+    return len(digits) >= 2 and all(word in DISPLAY_CODES for word in digits)
 
 
 def agree(register: Register, single: int, before: int, after: int) -> bool:

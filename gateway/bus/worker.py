@@ -10,13 +10,14 @@ from gateway.bus.blocks import Planner
 from gateway.bus.exchange import Answered, Exchanger
 from gateway.bus.line import Line
 from gateway.bus.link import Heard, Link
-from gateway.bus.reader import DriveReader, Learnt, Work
+from gateway.bus.reader import DriveReader
 from gateway.bus.schedule import AHEAD, Job, NotBefore, Schedule, Send
+from gateway.bus.setpoint import Setpoint
+from gateway.bus.work import Learnt, Work
 from gateway.clock import Clock
-from gateway.errors import BadReply, LineDown, NoReply, Refused
+from gateway.errors import BadReply, LineDown, NoReply, Refusal, Refused
 from gateway.image import DriveImage, LinkState
 from gateway.metrics import DriveStats, LineStats
-from gateway.protocol.modbus_rtu import ModbusRtu
 
 log = logging.getLogger("gateway.bus")
 frames = logging.getLogger("gateway.bus.frames")
@@ -33,11 +34,14 @@ Opener = Callable[[site.Line, Clock], Awaitable[Line]]
 class _Station:
     """One drive as this line serves it: its reader, its link, and where its values and counts go."""
 
-    def __init__(self, drive: site.Drive, image: DriveImage, stats: DriveStats, reader: DriveReader) -> None:
+    def __init__(
+        self, drive: site.Drive, image: DriveImage, stats: DriveStats, planner: Planner, phase: float
+    ) -> None:
         self.drive = drive
         self.image = image
         self.stats = stats
-        self.reader = reader
+        self.planner = planner
+        self.reader = DriveReader(drive, planner, phase)
         self.link = Link()
         self.quiet_until = float("-inf")  # nothing but identifications before: a late answer might be believed
         self.processing = drive.model.times.processing + drive.wait_time
@@ -59,15 +63,15 @@ class LineWorker:
         self._stats = stats
         self._clock = clock
         self._opener = opener
-        self._codec = ModbusRtu()
         self._alarm = clock.alarm()
         self._schedule: Schedule[Work] = Schedule(line.silent_share, line.probe_every, line.probe_at_most)
         self._stations: dict[str, _Station] = {}
         for index, drive in enumerate(line.drives):
             processing = drive.model.times.processing + drive.wait_time
-            planner = Planner(drive.number, drive.model, line.timing, processing)
-            reader = DriveReader(drive, planner, index / len(line.drives))
-            self._stations[drive.name] = _Station(drive, images[drive.name], drive_stats[drive.name], reader)
+            planner = Planner(drive.number, drive.model, drive.codec, line.timing, processing)
+            self._stations[drive.name] = _Station(
+                drive, images[drive.name], drive_stats[drive.name], planner, index / len(line.drives)
+            )
 
     async def run(self) -> None:
         """Serve the line until cancelled; a lost port is opened again with back-off."""
@@ -130,22 +134,54 @@ class LineWorker:
         started = self._clock.now()
         station.stats.exchanges += 1
         try:
-            answered = await exchanger.exchange(self._codec, job.work.request, station.processing)
+            request = station.reader.request(job.work)
+            answered = await exchanger.exchange(station.drive.codec, request, station.processing)
         except (NoReply, BadReply) as error:
             self._unanswered(station, job, error, started)
         except Refused as refused:
-            frames.debug("rx %s refused: %s", job.drive, refused)
-            station.stats.refusals += 1
-            self._stats.errors["refused"] += 1
-            self._heard(station, self._clock.now())
-            self._learn(station, job, station.reader.on_refused(job.work, refused, self._clock.now()))
+            self._refused(station, job, refused, started)
         else:
             self._answered(station, job, answered)
+
+    def _refused(self, station: _Station, job: Job[Work], refused: Refused, started: float) -> None:
+        """Take a refusal; one for a wrong checksum says that the request was damaged on its way."""
+        frames.debug("rx %s refused: %s", job.drive, refused)
+        if refused.reason is Refusal.CHECKSUM:
+            self._unanswered(station, job, BadReply(str(refused)), started)
+            return
+        now = self._clock.now()
+        station.stats.refusals += 1
+        self._stats.errors["refused"] += 1
+        self._heard(station, now)
+        self._learn(station, job, station.reader.on_refused(job.work, refused, now))
+        self._trip(station, refused.is_tripped, now)
 
     def _answered(self, station: _Station, job: Job[Work], answered: Answered) -> None:
         station.stats.answers.observe(answered.done - answered.sent)
         self._heard(station, answered.done)
-        self._learn(station, job, station.reader.on_reply(job.work, answered.reply, answered.done), answered.done)
+        if answered.reply is not None:
+            learnt = station.reader.on_reply(job.work, answered.reply, answered.done)
+            flag = answered.reply.is_tripped
+            is_tripped = station.drive.model.is_tripped(learnt.words) if flag is None else flag
+            self._learn(station, job, learnt, answered.done)
+            self._trip(station, is_tripped, answered.done)
+
+    def _trip(self, station: _Station, is_tripped: bool | None, now: float) -> None:
+        """Take what an answer said of a trip; at each change the trip code and the status are read at once."""
+        if is_tripped is None or is_tripped is station.image.is_tripped:
+            return
+        if is_tripped:
+            log.warning("%s is tripped", station.drive.name)
+        elif station.image.is_tripped is not None:
+            log.info("%s is no longer tripped", station.drive.name)
+        station.image.set_tripped(is_tripped)
+        if station.reader.is_set_up:
+            self._add(station.drive.name, station.reader.on_trip(), now)
+
+    def control(self, drive: str, setpoint: Setpoint | None) -> None:
+        """Give a drive words to keep, or end that; they go with its block reads where the drive has the exchange."""
+        self._add(drive, self._stations[drive].reader.control(setpoint), self._clock.now())
+        self._alarm.ring()
 
     def _heard(self, station: _Station, now: float) -> None:
         if station.stats.last_heard > 0:
@@ -176,15 +212,22 @@ class LineWorker:
             self._hear(station, Heard.READY)
         if learnt.words:
             station.image.apply(learnt.words, now, self._clock.wall())
+        for address in learnt.stored:
+            station.stats.eeprom_writes[address] += 1
+        station.image.set_reset_needed(reader.is_reset_needed)
         if learnt.jobs is not None:
             self._schedule.set_jobs(name, learnt.jobs)
             self._schedule.turn = self._turn()
         else:
             self._follow_up(station, job, now)
-        for work in learnt.once:
-            self._schedule.add(Job(name, work, None, now, now))
+        self._add(name, learnt, now)
         if now < station.quiet_until:
             self._schedule.hold(name, station.quiet_until)
+
+    def _add(self, drive: str, learnt: Learnt, now: float) -> None:
+        """Plan what is to be done at once."""
+        for work in learnt.once:
+            self._schedule.add(Job(drive, work, None, now, now))
 
     def _ask_again(self, station: _Station, job: Job[Work], started: float) -> None:
         """Try a drive that is not there, or is another one, from time to time, ever more seldom."""
@@ -201,9 +244,8 @@ class LineWorker:
 
     def _turn(self) -> float:
         """Return how long one round of everything that is read as fast as possible takes."""
-        timing = self._line.timing
         return sum(
-            timing.exchange(8, self._codec.answer_size(job.work.request), station.processing)
+            station.planner.cost(job.work.request)
             for name, station in self._stations.items()
             for job in self._schedule.jobs(name)
             if job.period == 0
@@ -246,3 +288,4 @@ class LineWorker:
             self._follow_up(station, job, now)
             self._schedule.hold(name, station.quiet_until)
             self._schedule.add(Job(name, station.reader.identify(), None, now, AHEAD))
+

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from gateway.drives.register import Derived, Register
@@ -87,3 +87,19 @@ class Model:
     def connector(self, name: str = "") -> Connector | None:
         """Return the connector of that name, the first one by default, or None."""
         return next((c for c in self.connectors if name in ("", c.name)), None)
+
+    def is_tripped(self, words: Iterable[tuple[int, int]]) -> bool | None:
+        """Say whether (communication number, word) pairs tell of a trip; None where they do not say.
+
+        FC90 tells it by its code, else FD01 by its bit.
+        """
+        told: bool | None = None
+        for address, word in words:
+            register = self.by_address.get(address)
+            if register is None or register.name not in ("trip_code", "status"):
+                continue
+            if register.name == "trip_code":
+                return word != 0
+            bit = next((bit for bit, name in register.bits.items() if name == "tripped"), None)
+            told = told if bit is None else bool(word >> bit & 1)
+        return told

@@ -12,6 +12,7 @@ from gateway.bus.blocks import HOLE, Abilities, PlannedRead, Planner, area
 from gateway.drives import catalogue
 from gateway.drives.model import Model
 from gateway.drives.register import Register
+from gateway.protocol.modbus_rtu import ModbusRtu
 from gateway.protocol.pdu import ReadBlock, ReadWords
 from gateway.protocol.timing import LineTiming
 
@@ -21,7 +22,7 @@ NC3 = MODELS["vf-nc3"]
 
 def planner(model: Model = NC3, baud: int = 19200) -> Planner:
     """Return a planner for drive 1."""
-    return Planner(1, model, LineTiming(baud), model.times.processing)
+    return Planner(1, model, ModbusRtu(), LineTiming(baud), model.times.processing)
 
 
 def registers(*names: str, model: Model = NC3) -> list[Register]:
@@ -129,7 +130,7 @@ def test_every_wanted_register_comes_exactly_once_and_no_limit_is_broken(
         able = Abilities(None, able.no_direct, able.only_single)  # the same value twice in the block
     reads = plan.plan(wanted, able)
     check(reads, wanted, able)
-    assert plan.time(reads) <= len(wanted) * plan.cost(1) + 1e-9
+    assert plan.time(reads) <= len(wanted) * plan.cost(ReadWords(1, 0)) + 1e-9
 
 
 @given(wanted_sets.filter(lambda names: 0 < len(names) <= 5), st.sampled_from([9600, 19200, 38400]))
@@ -153,5 +154,5 @@ def _cost_of(plan: Planner, order: list[Register], cuts: tuple[bool, ...]) -> fl
         span = run[-1].address - run[0].address + 1
         if span > NC3.blocks.direct_read_maximum or area(run[0].address) != area(run[-1].address):
             return float("inf")
-        total += plan.cost(span)
+        total += plan.cost(ReadWords(1, 0, span))
     return total
