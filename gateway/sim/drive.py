@@ -21,6 +21,8 @@ class SimulatedDrive:
         self.inverter = Inverter(model, options, rng, now)
         self.registers = RegisterAccess(self.inverter)
         self.acknowledged: float | None = None  # when the last message was
+        self.messages_acknowledged = 0
+        self.frames_heard = 0  # whole or not, for it or for others
 
     @property
     def number(self) -> int:
@@ -47,6 +49,7 @@ class SimulatedDrive:
     def handle(self, frame: bytes, now: float) -> tuple[bytes | None, float]:
         """Take a frame whose end was recognised now; return the answer, or None, and the seconds until it begins."""
         self.tick(now)
+        self.frames_heard += now >= self.inverter.deaf_until
         if now < self.inverter.deaf_until or self._protocol != MODBUS_RTU:
             return None, 0.0
         self.registers.begin()
@@ -60,6 +63,7 @@ class SimulatedDrive:
     def _acknowledge(self, now: float) -> None:
         """Start the timer of F803, but by the message after the one that set it (6.3)."""
         self.acknowledged = now
+        self.messages_acknowledged += 1
         if not self.registers.set_timer:
             self.inverter.acknowledge(now)
 

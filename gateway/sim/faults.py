@@ -1,57 +1,59 @@
-"""Faults of a line: what becomes of an answer on its way to the master, decided by chance with a seed."""
+"""Faults of a line: what becomes of requests and answers on their way, decided by chance with a seed."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from random import Random
 
 LATE = 0.5  # seconds, where a late answer does not say how late
 DUPLICATE_AFTER = 0.005  # seconds between an answer and its copy
+PAUSE = 0.02  # seconds between the halves of a split answer: what USB adapters make of two packets
 BABBLE = 5  # bytes, where babble does not say how many
 
 
 class Kind(Enum):
     """What goes wrong."""
 
+    CUT = "cut"  # the request does not arrive: at one drive, or at none
+    REQUEST_FLIP = "request_flip"  # `value` bits of the request arrive wrong
     DROP = "drop"  # the answer is lost; the drive did what it was asked
     LATE = "late"  # the answer begins `value` seconds later
     DUPLICATE = "duplicate"  # the answer comes again, `value` seconds after its end
     TRUNCATE = "truncate"  # only the first `value` bytes of the answer come
+    SPLIT = "split"  # the answer pauses for `value` seconds, at a byte chosen by chance
     FLIP = "flip"  # `value` bits of the answer are wrong
     ECHO = "echo"  # the adapter hands the master's own bytes back
     BABBLE = "babble"  # `value` bytes of noise stand before the answer
-    CUT = "cut"  # the drive hears nothing
 
 
 @dataclass(slots=True)
 class Fault:
-    """One fault: for the answers of one drive or, without a number, of all on the line.
+    """One fault: of one drive or, without a number, of the whole line.
 
     It strikes with `probability`, at most `count` times, from `after` until `until` (seconds of the line's time).
+    A `value` of two numbers is drawn evenly between them each time it strikes.
     """
 
     kind: Kind
     drive: int | None = None
-    value: float | None = None
+    value: float | tuple[float, float] | None = None
     probability: float = 1.0
     count: int | None = None
     after: float = 0.0
     until: float = math.inf
 
-    def amount(self, usual: float) -> float:
-        """Return `value`, or what is usual for this kind."""
-        return usual if self.value is None else self.value
-
 
 @dataclass(frozen=True, slots=True)
 class Sending:
-    """Bytes that a drive puts on the line, and how many seconds later than it would."""
+    """Bytes that a drive puts on the line, how many seconds later than it would, and the faults in them."""
 
     delay: float
     data: bytes
+    note: str = ""
 
 
 class Faults:
@@ -60,6 +62,7 @@ class Faults:
     def __init__(self, rng: Random, faults: Iterable[Fault] = ()) -> None:
         self._rng = rng
         self._faults = list(faults)
+        self.struck: Counter[str] = Counter()  # how often, by kind
 
     @property
     def all(self) -> Sequence[Fault]:
@@ -80,38 +83,89 @@ class Faults:
         ended, self._faults = len(self._faults) - len(kept), kept
         return ended
 
+    def end(self, kind: Kind, drive: int | None) -> int:
+        """End the faults of a kind of just that drive or, without a number, of just the line; return how many."""
+        kept = [fault for fault in self._faults if fault.kind is not kind or fault.drive != drive]
+        ended, self._faults = len(self._faults) - len(kept), kept
+        return ended
+
     def strikes(self, kind: Kind, drive: int | None, now: float) -> Fault | None:
-        """Return the first fault of that kind that strikes now, and count it; None where none does."""
+        """Return the first fault of a drive or of its line that strikes now, and count it; None where none does."""
+        return self._strikes(kind, (drive, None), now)
+
+    def _strikes(self, kind: Kind, whose: Collection[int | None], now: float) -> Fault | None:
         for fault in self._faults:
-            if fault.kind is kind and fault.drive in (None, drive) and fault.after <= now < fault.until:
+            if fault.kind is kind and fault.drive in whose and fault.after <= now < fault.until:
                 if fault.count == 0 or self._rng.random() >= fault.probability:
                     continue
                 if fault.count is not None:
                     fault.count -= 1
+                self.struck[kind.value] += 1
                 return fault
         return None
 
+    # -- on the way to the drives ---------------------------------------------------------------------------
+
+    def heard(self, request: bytes, drive: int | None, now: float) -> bytes | None:
+        """Return what arrives of a request at a drive or, without a number, on the line; None for nothing."""
+        if self._strikes(Kind.CUT, (drive,), now):
+            return None
+        if fault := self._strikes(Kind.REQUEST_FLIP, (drive,), now):
+            return self._flipped(request, self._number(fault, 1, 8 * len(request)))
+        return request
+
+    # -- on the way back ------------------------------------------------------------------------------------
+
     def sendings(self, answer: bytes, drive: int, now: float) -> list[Sending]:
-        """Return what comes of an answer: nothing, or one or more sendings in their order."""
+        """Return what comes of an answer: nothing, or sendings in their order, each after the one before."""
         if self.strikes(Kind.DROP, drive, now):
             return []
-        late = self.strikes(Kind.LATE, drive, now)
-        delay = late.amount(LATE) if late else 0.0
-        data = self._damaged(answer, drive, now)
-        sendings = [Sending(delay, data)]
+        data, notes = self._damaged(answer, drive, now)
+        delay = 0.0
+        if fault := self.strikes(Kind.LATE, drive, now):
+            delay = self._seconds(fault, LATE)
+            notes.append(fault.kind.value)
+        pieces = [Sending(delay, data, " ".join(notes))]
+        if len(data) > 1 and (fault := self.strikes(Kind.SPLIT, drive, now)):
+            pieces = self._split(pieces[0], self._seconds(fault, PAUSE))
         if fault := self.strikes(Kind.DUPLICATE, drive, now):
-            sendings.append(Sending(fault.amount(DUPLICATE_AFTER), data))
-        return sendings
+            copied = " ".join([*notes, fault.kind.value])
+            pieces.append(Sending(self._seconds(fault, DUPLICATE_AFTER), data, copied))
+        return pieces
 
-    def _damaged(self, answer: bytes, drive: int, now: float) -> bytes:
-        data = answer
+    def _damaged(self, answer: bytes, drive: int, now: float) -> tuple[bytes, list[str]]:
+        """Return the bytes that come of an answer, and the kinds of the faults in them."""
+        data, kinds = answer, []
         if fault := self.strikes(Kind.FLIP, drive, now):
-            data = self._flipped(data, int(fault.amount(1)))
+            data = self._flipped(data, self._number(fault, 1, 8 * len(data)))
+            kinds.append(fault.kind.value)
         if fault := self.strikes(Kind.TRUNCATE, drive, now):
-            data = data[: int(fault.amount(len(data) - 1))]
+            data = data[: self._number(fault, len(data) - 1, len(data) - 1)]
+            kinds.append(fault.kind.value)
         if fault := self.strikes(Kind.BABBLE, drive, now):
-            data = self.noise(int(fault.amount(BABBLE))) + data
-        return data
+            data = self.noise(self._number(fault, BABBLE)) + data
+            kinds.append(fault.kind.value)
+        return data, kinds
+
+    def _split(self, whole: Sending, pause: float) -> list[Sending]:
+        place = self._rng.randrange(1, len(whole.data))
+        note = f"{whole.note} {Kind.SPLIT.value}".strip()
+        return [Sending(whole.delay, whole.data[:place], note), Sending(pause, whole.data[place:], note)]
+
+    # -- by chance ------------------------------------------------------------------------------------------
+
+    def _seconds(self, fault: Fault, usual: float) -> float:
+        """Return a fault's value in seconds, or what is usual."""
+        if isinstance(fault.value, tuple):
+            return self._rng.uniform(*fault.value)
+        return usual if fault.value is None else fault.value
+
+    def _number(self, fault: Fault, usual: int, most: int | None = None) -> int:
+        """Return a fault's value as a whole number; one that is drawn is not more than `most`."""
+        if isinstance(fault.value, tuple):
+            low, high = (int(value) if most is None else min(int(value), most) for value in fault.value)
+            return self._rng.randint(low, high)
+        return usual if fault.value is None else int(fault.value)
 
     def _flipped(self, data: bytes, bits: int) -> bytes:
         number = int.from_bytes(data, "big")

@@ -28,11 +28,15 @@ def sharpen() -> None:
 
 
 class LineLoop:
-    """Runs one wire behind one port until `stop`; other descriptors may be waited on beside it."""
+    """Runs one wire behind one port until `stop`; other descriptors may be waited on beside it.
 
-    def __init__(self, wire: Wire, port: PtyPort) -> None:
+    With `baud` the master's own setting counts: at another rate it is noise to the drives, and they to it.
+    """
+
+    def __init__(self, wire: Wire, port: PtyPort, baud: int | None = None) -> None:
         self.wire = wire
         self.port = port
+        self._baud = baud
         self.lateness = Lateness()
         self.started = time.monotonic()
         self._readers: dict[int, Callable[[], None]] = {}
@@ -69,12 +73,15 @@ class LineLoop:
         event = self.wire.next_event()
         ready = self._wait(event)
         if self.port.descriptor in ready and (data := self.port.read()):
-            self.wire.feed(data, time.monotonic())
+            self.wire.feed(data, time.monotonic(), is_noise=self._is_out_of_tune())
         for descriptor in ready:
             if reader := self._readers.get(descriptor):
                 reader()
         if event is not None and (not ready or time.monotonic() >= event):
             self._deliver(event)
+
+    def _is_out_of_tune(self) -> bool:
+        return self._baud is not None and self.port.baud != self._baud
 
     def _wait(self, event: float | None) -> list[int]:
         """Wait for bytes until shortly before the event; return which descriptors have some."""
@@ -91,8 +98,9 @@ class LineLoop:
         heard = self.wire.due(event)
         while time.monotonic() < event:
             pass
+        is_out_of_tune = bool(heard) and self._is_out_of_tune()
         for data in heard:
-            self.port.write(data)
+            self.port.write(self.wire.faults.collided(data) if is_out_of_tune else data)
             self.lateness.add(time.monotonic() - event)
 
     def statistics(self) -> dict[str, Any]:

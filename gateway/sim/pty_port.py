@@ -5,10 +5,14 @@ from __future__ import annotations
 import contextlib
 import os
 import pty
+import termios
 import tty
 from pathlib import Path
 
 READ_SIZE = 4096
+RATES = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400)
+RATE_OF_SPEED = {getattr(termios, f"B{rate}"): rate for rate in RATES}
+OUTPUT_SPEED = 5  # its place in what tcgetattr returns
 
 
 class PtyPort:
@@ -25,6 +29,13 @@ class PtyPort:
     def descriptor(self) -> int | None:
         """Return what to wait on; None while it is unplugged."""
         return self._own
+
+    @property
+    def baud(self) -> int | None:
+        """Return the baud rate that the master has set, None for one that is not usual; 38400 before it sets any."""
+        if self._own is None:
+            return None
+        return RATE_OF_SPEED.get(termios.tcgetattr(self._own)[OUTPUT_SPEED])
 
     def plug(self) -> None:
         """Open a pty with nothing between the bytes and the reader, and point the link at it."""

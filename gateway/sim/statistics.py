@@ -35,6 +35,7 @@ class WireStatistics:
     unanswered: int = 0  # whole frames that no drive answered
     broken: int = 0  # wrong CRC
     lost: int = 0  # frames that no drive could hear
+    wrong_baud: int = 0  # of these, frames sent at another baud rate
     gap_violations: int = 0  # frames begun less than 3.5 characters after the last one
     splits: int = 0  # pauses of more than 1.5 characters inside a frame
     collisions: int = 0

@@ -9,14 +9,19 @@ class CommunicationTimer:
     def __init__(self) -> None:
         self._period = 0.0
         self._started: float | None = None
+        self.least_margin: float | None = None  # seconds that were left, when least were
 
     def set(self, period: float) -> None:
         """Take a new F803 in seconds, 0 for off; the timer stands until the next acknowledged message."""
         self._period = period
         self._started = None
+        self.least_margin = None
 
     def acknowledge(self, now: float) -> None:
         """Start anew: a message to this drive was acknowledged, whatever it said."""
+        if self.deadline is not None:
+            margin = max(0.0, self.deadline - now)
+            self.least_margin = margin if self.least_margin is None else min(self.least_margin, margin)
         self._started = now
 
     @property

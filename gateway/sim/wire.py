@@ -13,6 +13,7 @@ from enum import Enum
 from gateway.protocol.timing import SPLIT_CHARACTERS, LineTiming
 from gateway.sim.drive import SimulatedDrive
 from gateway.sim.faults import Faults, Kind
+from gateway.sim.journal import Entry, Journal, Way
 from gateway.sim.modbus import is_whole
 from gateway.sim.statistics import WireStatistics
 
@@ -34,6 +35,7 @@ class Frame:
     end: float
     data: bytearray
     is_lost: bool = False
+    is_noise: bool = False
 
 
 @dataclass(slots=True)
@@ -43,7 +45,9 @@ class Sending:
     begin: float
     end: float
     drive: int | None
+    note: str
     characters: deque[tuple[float, int]] = field(default_factory=deque)
+    heard: bytearray = field(default_factory=bytearray)
 
 
 class Wire:
@@ -61,6 +65,7 @@ class Wire:
         self.drives = list(drives)
         self.faults = faults
         self.statistics = WireStatistics()
+        self.journal = Journal()
         self._timing = timing
         self._parity = parity
         self._delivery = delivery
@@ -75,8 +80,11 @@ class Wire:
 
     # -- what the loop calls --------------------------------------------------------------------------------
 
-    def feed(self, data: bytes, now: float) -> None:
-        """Take bytes that the master wrote; its UART sends them one after another."""
+    def feed(self, data: bytes, now: float, *, is_noise: bool = False) -> None:
+        """Take bytes that the master wrote; its UART sends them one after another.
+
+        `is_noise` says that it sends them at another baud rate: no drive understands them.
+        """
         if not data:
             return
         self._advance(now)
@@ -89,13 +97,15 @@ class Wire:
             self._continue(frame, begin)
             frame.data += data
             frame.end = end
+        if self._frame is not None:
+            self._frame.is_noise |= is_noise
         if self.faults.strikes(Kind.ECHO, None, now):
             self._echoes.append((end, data))
 
     def babble(self, count: int, now: float) -> None:
         """Put noise on the line at once, as a broken drive does."""
         self._advance(now)
-        self._send(self.faults.noise(count), now, None)
+        self._send(self.faults.noise(count), now, None, "noise")
 
     def next_event(self) -> float | None:
         """Return when `due` has something to do next; None while the line is quiet."""
@@ -161,43 +171,49 @@ class Wire:
             frame.is_lost = True
         self._sent.append((frame.begin, frame.end))
         self.statistics.requests += 1
-        if frame.is_lost:
+        self.statistics.wrong_baud += frame.is_noise
+        data = bytes(frame.data)
+        is_lost = frame.is_lost or frame.is_noise
+        heard = None if is_lost else self.faults.heard(data, None, heard_at)
+        self.journal.add(Entry(Way.REQUEST, frame.begin, frame.end, data, None, _fate(frame, heard)))
+        if is_lost:
             self.statistics.lost += 1
             return
-        data = bytes(frame.data)
-        if not is_whole(data):
+        if heard is not None and not is_whole(heard):
             self.statistics.broken += 1
             return
-        answers = [self._ask(place, drive, data, frame, heard_at) for place, drive in enumerate(self.drives)]
+        answers = [self._ask(place, drive, heard, frame, heard_at) for place, drive in enumerate(self.drives)]
         if not any(answers):
             self.statistics.unanswered += 1
             self.statistics.busy += self._timing.request(len(data)) + self._timing.gap
 
-    def _ask(self, place: int, drive: SimulatedDrive, data: bytes, frame: Frame, now: float) -> bool:
-        """Let one drive have a frame; say whether it answers."""
+    def _ask(self, place: int, drive: SimulatedDrive, data: bytes | None, frame: Frame, now: float) -> bool:
+        """Let one drive have what reaches it of a frame; say whether it answers."""
         is_busy = self._busy.get(place, 0.0) > frame.begin
         if is_busy or not drive.hears(self._timing.baud, self._parity):
             return False
         number = drive.number
-        if self.faults.strikes(Kind.CUT, number, now):
+        heard = None if data is None else self.faults.heard(data, number, now)
+        if heard is None:
             return False
-        answer, processing = drive.handle(data, now)
+        answer, processing = drive.handle(heard, now)
         if answer is None:
             return False
         own_end = now + processing + self._timing.answer(len(answer))
         self._busy[place] = own_end
         begin = now + processing
+        self.journal.add(Entry(Way.ANSWER, begin, own_end, answer, number))
         for sending in self.faults.sendings(answer, number, now):
-            begin = self._send(sending.data, begin + sending.delay, number)
-        necessary = self._timing.exchange(len(data), len(answer), processing)
+            begin = self._send(sending.data, begin + sending.delay, number, sending.note)
+        necessary = self._timing.exchange(len(heard), len(answer), processing)
         self.statistics.answered(number, own_end, necessary)
         return True
 
     # -- the drives' answers --------------------------------------------------------------------------------
 
-    def _send(self, data: bytes, begin: float, drive: int | None) -> float:
+    def _send(self, data: bytes, begin: float, drive: int | None, note: str) -> float:
         """Put bytes on the line; where another sender is on it already, both are lost as far as they overlap."""
-        sending = Sending(begin, begin + self._timing.answer(len(data)), drive)
+        sending = Sending(begin, begin + self._timing.answer(len(data)), drive, note)
         ends = [begin + self._timing.answer(place + 1) for place in range(len(data))]
         sending.characters.extend(zip(ends, data, strict=True))
         for other in self._sendings:
@@ -222,7 +238,9 @@ class Wire:
     def _deliver(self, now: float) -> None:
         """Hand the master what has ended by now."""
         while self._echoes and self._echoes[0][0] <= now + ROUNDING:
-            self._hear(self._echoes.popleft()[1], now)
+            end, echo = self._echoes.popleft()
+            self._hear(echo, now)
+            self.journal.add(Entry(Way.HEARD, end - self._timing.request(len(echo)), end, echo, None, "echo"))
         for sending in self._sendings:
             if not sending.characters or (self._delivery is Delivery.FRAME and sending.end > now + ROUNDING):
                 continue
@@ -233,12 +251,21 @@ class Wire:
                 arrived.append(self._spoilt(byte) if talk and self._is_within(at, talk) else byte)
             if arrived:
                 self._hear(bytes(arrived), now)
+                sending.heard += arrived
+                self._note(sending)
         self._prune(now)
 
     def _hear(self, data: bytes, now: float) -> None:
         if not self._heard:
             self._heard_at = now
         self._heard.append(data)
+
+    def _note(self, sending: Sending) -> None:
+        """Enter an answer, or noise, that has reached the master to its last character."""
+        if not sending.characters:
+            self.journal.add(
+                Entry(Way.HEARD, sending.begin, sending.end, bytes(sending.heard), sending.drive, sending.note)
+            )
 
     def _talk_over(self, sending: Sending) -> list[tuple[float, float]]:
         """Return when the master sent while an answer was on the line."""
@@ -257,3 +284,14 @@ class Wire:
         oldest = min((s.begin for s in self._sendings), default=now)
         while self._sent and self._sent[0][1] < oldest:
             self._sent.popleft()
+
+
+def _fate(frame: Frame, heard: bytes | None) -> str:
+    """Say what became of a request on its way to the drives, "" for nothing."""
+    if frame.is_noise:
+        return "wrong baud rate"
+    if frame.is_lost:
+        return "lost"
+    if heard is None:
+        return Kind.CUT.value
+    return "" if heard == frame.data else Kind.REQUEST_FLIP.value

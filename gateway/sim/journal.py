@@ -1,0 +1,57 @@
+"""What went over a simulated line, frame by frame, for whoever asks afterwards or listens."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from itertools import islice
+
+KEPT = 10_000  # latest entries: some minutes of a busy line
+
+
+class Way(Enum):
+    """Whose bytes an entry has."""
+
+    REQUEST = "request"  # the master's, as it sent them
+    ANSWER = "answer"  # a drive's, as it gave them, before any fault
+    HEARD = "heard"  # what reached the master
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One frame. Times are seconds on the line's clock; `note` says what is unusual, "" for nothing."""
+
+    way: Way
+    begin: float
+    end: float
+    data: bytes
+    drive: int | None = None
+    note: str = ""
+
+
+class Journal:
+    """Keeps the latest entries, and tells listeners of each as it is made."""
+
+    def __init__(self) -> None:
+        self._entries: deque[Entry] = deque(maxlen=KEPT)
+        self._listeners: list[Callable[[Entry], None]] = []
+
+    def add(self, entry: Entry) -> None:
+        """Keep an entry; the oldest one goes where there are too many."""
+        self._entries.append(entry)
+        for listener in self._listeners:
+            listener(entry)
+
+    def listen(self, listener: Callable[[Entry], None]) -> None:
+        """Call `listener` with each entry from now on."""
+        self._listeners.append(listener)
+
+    def ignore(self, listener: Callable[[Entry], None]) -> None:
+        """Call `listener` no more."""
+        self._listeners.remove(listener)
+
+    def last(self, count: int) -> Sequence[Entry]:
+        """Return the latest entries, the oldest first."""
+        return tuple(islice(self._entries, max(0, len(self._entries) - count), None))
