@@ -9,11 +9,12 @@ from decimal import Decimal
 from gateway.drives.catalogue_file import (
     BlocksEntry,
     CatalogueFile,
+    CautionsEntry,
     ConnectorEntry,
     RegisterEntry,
     TimesEntry,
 )
-from gateway.drives.model import BlockForms, Connector, DriveTimes, Model
+from gateway.drives.model import BlockForms, Cautions, Connector, DriveTimes, Model
 from gateway.drives.register import Derived, Enumeration, Kind, Register, Storage
 from gateway.drives.scaling import Scaling
 
@@ -32,6 +33,7 @@ def build(file: CatalogueFile, models: Mapping[str, Model]) -> tuple[Model | Non
         times=_times(file.times, base.times),
         blocks=_blocks(file.blocks) if file.blocks else base.blocks,
         connectors=base.connectors + tuple(map(_connector, file.connector)),
+        cautions=_cautions(file.cautions, base.cautions),
         read_selectors={**base.read_selectors, **_by_number(file.read_selectors)},
         write_selectors={**base.write_selectors, **_by_number(file.write_selectors)},
         capacities={**base.capacities, **_by_number(file.capacities)},
@@ -199,6 +201,17 @@ def _connector(entry: ConnectorEntry) -> Connector:
     return Connector(entry.name, parameters, tuple(entry.block_write), tuple(entry.block_read))
 
 
+def _cautions(entry: CautionsEntry | None, base: Cautions) -> Cautions:
+    if entry is None:
+        return base
+    return Cautions(
+        base.never | set(entry.never),
+        base.keys | set(entry.keys),
+        base.may_start | set(entry.may_start),
+        {**base.unanswered, **entry.unanswered},
+    )
+
+
 def _by_number(table: Mapping[str, str]) -> dict[int, str]:
     return {int(code): text for code, text in table.items()}
 
@@ -220,6 +233,9 @@ def _contradictions(model: Model) -> Iterator[str]:
     for key, name in _named(model):
         if name and name not in model.registers:
             yield f"{key}: no register {name!r}"
+    for name, bit in model.cautions.unanswered.items():
+        if name in model.registers and bit not in model.registers[name].bits.values():
+            yield f"cautions: unanswered.{name}: the register has no bit {bit!r}"
     for connector in model.connectors:
         yield from _selector_counts(connector, model.blocks)
 
@@ -248,6 +264,11 @@ def _named(model: Model) -> Iterator[tuple[str, str]]:
             yield f"connector {connector.name!r}: block_write", name
         for name in connector.block_read:
             yield f"connector {connector.name!r}: block_read", name
+    for key, names in (("keys", model.cautions.keys), ("may_start", model.cautions.may_start)):
+        for name in sorted(names):
+            yield f"cautions: {key}", name
+    for name in model.cautions.unanswered:
+        yield "cautions: unanswered", name
     for d in model.derived:
         yield f"derived {d.name!r}: of", d.of
         yield f"derived {d.name!r}: base", d.base

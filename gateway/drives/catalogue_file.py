@@ -92,6 +92,16 @@ class ConnectorEntry(Entry):
     source: Text
 
 
+class CautionsEntry(Entry):
+    """[cautions]: what to be careful of when writing; a file that extends a model adds to them."""
+
+    never: list[Word] = []
+    keys: list[Name] = []
+    may_start: list[Name] = []
+    unanswered: dict[Name, Name] = {}
+    source: Text
+
+
 class CodeEntry(Entry):
     """One code of an [enumeration.NAME] table."""
 
@@ -161,6 +171,7 @@ class CatalogueFile(Entry):
     times: TimesEntry | None = None
     blocks: BlocksEntry | None = None
     connector: list[ConnectorEntry] = []
+    cautions: CautionsEntry | None = None
     read_selectors: dict[Code, NameOrNone] = {}
     write_selectors: dict[Code, NameOrNone] = {}
     capacities: dict[Code, Text] = {}

@@ -52,6 +52,21 @@ class Connector:
 
 
 @dataclass(frozen=True, slots=True)
+class Cautions:
+    """What to be careful of when writing to a model.
+
+    `never` are communication numbers that the gateway does not write. `keys` and `may_start` are register names:
+    those that take the panel's keys away, and those by which a motor may start. `unanswered` names the bit of a
+    register that the drive obeys without an answer.
+    """
+
+    never: frozenset[int] = frozenset()
+    keys: frozenset[str] = frozenset()
+    may_start: frozenset[str] = frozenset()
+    unanswered: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
 class Model:
     """One drive model of the catalogue.
 
@@ -69,6 +84,7 @@ class Model:
     times: DriveTimes = field(default_factory=DriveTimes)
     blocks: BlockForms = field(default_factory=BlockForms)
     connectors: tuple[Connector, ...] = ()
+    cautions: Cautions = field(default_factory=Cautions)
     read_selectors: Mapping[int, str] = field(default_factory=dict)
     write_selectors: Mapping[int, str] = field(default_factory=dict)
     capacities: Mapping[int, str] = field(default_factory=dict)

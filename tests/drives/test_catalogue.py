@@ -143,6 +143,27 @@ def test_a_file_extends_a_model_and_leaves_the_rest_as_it_was(tmp_path: Path) ->
     assert (after.identity, after.blocks, after.connectors) == (before.identity, before.blocks, before.connectors)
 
 
+@pytest.mark.hazard("H07")
+@pytest.mark.parametrize("name", MODELS)
+def test_what_would_cut_the_line_to_a_drive_is_never_written(name: str) -> None:
+    """F800-F802, F829 and typ; in a model that has them by its connector's roles too."""
+    model = load()[name]
+    assert model.cautions.never >= {0x0007, 0x0800, 0x0801, 0x0802, 0x0829}
+    for connector in model.connectors:
+        for role in ("baud_rate", "parity", "number", "protocol"):
+            if role in connector.parameters:
+                assert model.registers[connector.parameters[role]].address in model.cautions.never
+
+
+def test_a_file_adds_to_the_cautions_of_a_model(tmp_path: Path) -> None:
+    """What was to be careful of before still is."""
+    text = 'extend = "vf-nc3"\n[cautions]\nnever = [0x0011]\nmay_start = ["free_notes"]\nsource = "x"'
+    before, after = load()["vf-nc3"].cautions, load([written(tmp_path, text)])["vf-nc3"].cautions
+    assert after.never == before.never | {0x0011}
+    assert after.may_start == before.may_start | {"free_notes"}
+    assert (after.keys, after.unanswered) == (before.keys, before.unanswered)
+
+
 def test_codes_added_to_a_table_are_known_wherever_it_is_used(tmp_path: Path) -> None:
     """A new trip code is said by the trip code, by the past trips and by the file's own register."""
     registers = load([written(tmp_path, EXTENSION)])["vf-nc3"].registers

@@ -165,6 +165,14 @@ def refusal(folder: Path, text: str) -> list[str]:
             EXTEND + '[[profile]]\nvalues = ["status"]\nevery = "soon"',
             'profile 1: every: a duration, as "200ms" or "5min", is wanted (given: \'soon\')',
         ),
+        (EXTEND + '[cautions]\nnever = [7]', "cautions.source: is missing"),
+        (EXTEND + '[cautions]\nkeys = ["nothing"]\nsource = "x"', "cautions: keys: no register 'nothing'"),
+        (EXTEND + '[cautions]\nmay_start = ["x"]\nsource = "x"', "cautions: may_start: no register 'x'"),
+        (EXTEND + '[cautions]\nunanswered = { x = "y" }\nsource = "x"', "cautions: unanswered: no register 'x'"),
+        (
+            EXTEND + '[cautions]\nunanswered = { command = "y" }\nsource = "x"',
+            "cautions: unanswered.command: the register has no bit 'y'",
+        ),
         (
             EXTEND + '[[connector]]\nname = "rs485"\nparameters = {}\nsource = "x"',
             "connector 'rs485': the name exists already",
