@@ -14,7 +14,8 @@ OFFLINE = "offline"
 NOTHING = ""  # the payload that makes a broker forget what it retains on a topic
 NO_BITS = "none"  # a bit field without a set bit, in words
 
-RESERVED_KEYS = frozenset({"time", "quality"})
+RESERVED_KEYS = frozenset({"time", "quality", "tripped", "reset_needed"})
+TRUTH = {True: "true", False: "false", None: NOTHING}
 WORDS = {quality: quality.word for quality in Quality}
 
 
@@ -73,7 +74,10 @@ class StateWriter:
             newest = max(newest, sample.wall)
             parts.append(self._part(name, sample))
         time = f'"{timestamp(newest)}"' if newest else "null"
-        return f'{{"time":{time},"quality":"{WORDS[worst]}",{",".join(parts)}}}'
+        tripped = (None if is_leaving else TRUTH[image.is_tripped]) or "null"
+        needed = TRUTH[image.is_reset_needed]
+        head = f'"time":{time},"quality":"{WORDS[worst]}","tripped":{tripped},"reset_needed":{needed}'
+        return f"{{{head},{','.join(parts)}}}"
 
     def _part(self, name: str, sample: Sample) -> str:
         derived = self._image.derived.get(name)

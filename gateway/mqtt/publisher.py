@@ -49,7 +49,8 @@ class Outlet:
         self._qualities: dict[str, Quality] = {}
         self._owed: dict[str, None] = {}
         self._owes_state = False
-        self._owes_availability = False
+        self._owes_standing = False
+        self._said: dict[str, str] = {}  # topic -> what the broker was last told of availability, trip, reset
 
     def _expiry_of(self, name: str, longest_silence: float) -> int:
         """Return when a number is to be forgotten: twice the time in which a value that is read is said again."""
@@ -60,20 +61,22 @@ class Outlet:
     @property
     def is_owing(self) -> bool:
         """Say whether the broker lacks anything."""
-        return bool(self._owed) or self._owes_state or self._owes_availability
+        return bool(self._owed) or self._owes_state or self._owes_standing
 
     def owe_everything(self) -> None:
         """Forget what was said: the broker may know nothing."""
         self._qualities.clear()
         self._owed = dict.fromkeys(self.image.names)
         self._owes_state = self._state is not None
-        self._owes_availability = True
+        self._owes_standing = True
+        self._said.clear()
 
     def tell(self, wire: Wire, names: Sequence[str], now: float) -> None:
         """Send what is news after an answer, or, without names, after a change of the link."""
         if not names:
-            self._owes_availability = True
-            self._settle_availability(wire)
+            self._owes_standing = True
+            self._settle_standing(wire)
+            self._owes_state = self._state is not None and self.image.version > 0
             names = [n for n in self.image.names if self._report.has_turned(n, self.image.quality(n, now))]
         is_news = False
         for name in names:
@@ -100,21 +103,30 @@ class Outlet:
 
     def settle(self, wire: Wire, now: float) -> None:
         """Send one of the things that are owed: availability, then values, then the state."""
-        if self._owes_availability:
-            self._settle_availability(wire)
+        if self._owes_standing:
+            self._settle_standing(wire)
         elif self._owed:
             name = next(iter(self._owed))
             self._send_value(wire, name, self.image.sample(name, now), now)
         elif self._state is not None and self._owes_state:
             self._send_state(wire, self._state.write(now))
 
-    def _settle_availability(self, wire: Wire) -> None:
-        if wire.room:
-            self._owes_availability = False
-            self._send_availability(wire, is_there=self.image.link.is_connected)
-
-    def _send_availability(self, wire: Wire, *, is_there: bool) -> None:
-        wire.send(self._topics.availability, payload.presence(is_there), retain=True, expiry=FOR_EVER)
+    def _settle_standing(self, wire: Wire) -> None:
+        """Say what the broker does not know yet of availability, trip and reset, as far as there is room."""
+        image, to = self.image, self._topics
+        standing = {
+            to.tripped: payload.TRUTH[image.is_tripped],
+            to.reset_needed: payload.TRUTH[image.is_reset_needed],
+            to.availability: payload.presence(image.link.is_connected),
+        }
+        for topic, text in standing.items():
+            if self._said.get(topic) == text:
+                continue
+            if not wire.room:
+                return
+            self._said[topic] = text
+            wire.send(topic, text, retain=True, expiry=FOR_EVER)
+        self._owes_standing = False
 
     def _send_value(self, wire: Wire, name: str, sample: Sample, now: float) -> None:
         """Send a value's messages so that its quality never promises more than its number keeps."""
@@ -146,10 +158,12 @@ class Outlet:
 
     def leave(self, wire: Wire) -> None:
         """Say that the drive cannot be seen from here any more."""
-        self._send_availability(wire, is_there=False)
+        wire.send(self._topics.availability, payload.presence(False), retain=True, expiry=FOR_EVER)
 
     def clear(self, wire: Wire, now: float) -> None:
         """Take back every number that was said to be good."""
+        if self._said.get(self._topics.tripped):
+            wire.send(self._topics.tripped, payload.NOTHING, retain=True, expiry=FOR_EVER)
         for name in [name for name, quality in self._qualities.items() if quality is Quality.GOOD]:
             self._send_value(wire, name, payload.left_behind(self.image.sample(name, now)), now)
         if self._state is not None:

@@ -11,9 +11,12 @@ from gateway.site import Site
 
 AVAILABILITY = "availability"
 STATE = "state"
+TRIPPED = "tripped"
+RESET_NEEDED = "reset_needed"
 
 # Levels below a drive that are no values: what is published besides, and what is taken for control and description.
-RESERVED = frozenset({AVAILABILITY, STATE, "set", "command", "heartbeat", "result", "event", "description"})
+RESERVED = frozenset({AVAILABILITY, STATE, TRIPPED, RESET_NEEDED})
+RESERVED |= frozenset({"set", "command", "heartbeat", "result", "event", "description"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +33,8 @@ class DriveTopics:
     """The topics of one drive."""
 
     availability: str
+    tripped: str
+    reset_needed: str
     state: str
     values: Mapping[str, ValueTopics]
 
@@ -54,6 +59,8 @@ def of_drive(base: str, gateway: str, image: DriveImage) -> DriveTopics:
     root = f"{base}/{gateway}/{image.drive.name}"
     return DriveTopics(
         availability=f"{root}/{AVAILABILITY}",
+        tripped=f"{root}/{TRIPPED}",
+        reset_needed=f"{root}/{RESET_NEEDED}",
         state=f"{root}/{STATE}",
         values={name: _of_value(f"{root}/{level(name)}", has_text(image, name)) for name in image.names},
     )
@@ -69,7 +76,7 @@ def overview(section: MqttSection, site: Site) -> list[str]:
     listed = [status(section.base, gateway)]
     for drive in site.drives:
         topics = of_drive(section.base, gateway, DriveImage(drive))
-        listed.append(topics.availability)
+        listed += [topics.availability, topics.tripped, topics.reset_needed]
         if "state" in section.publish:
             listed.append(topics.state)
         if "values" in section.publish:

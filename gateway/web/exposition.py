@@ -124,12 +124,22 @@ def _of_drives(site: Site, stats: Stats) -> Iterator[Metric]:
     answers = ((of, drive.answers) for of, drive in each)
     text = "Time from the end of a request to the end of its answer."
     yield _histogram("tosvert_drive_answer_seconds", text, DRIVE, answers)
+    text = "Acknowledged writes to the drive's EEPROM (about 10,000 are allowed), by communication number."
+    writes = CounterMetricFamily("tosvert_drive_eeprom_writes_total", text, labels=(*DRIVE, "number"))
+    for of, drive in each:
+        for address, count in sorted(drive.eeprom_writes.items()):
+            writes.add_metric((*of, f"{address:04X}"), count)
+    yield writes
 
 
 def _of_values(each: list[tuple[Labels, DriveImage]], now: float) -> Iterator[Metric]:
     up = GaugeMetricFamily("tosvert_drive_up", "Whether the drive answers, so that its values count.", labels=DRIVE)
     text = "1 for the state that the link is in, 0 for the others."
     links = GaugeMetricFamily("tosvert_drive_link_state", text, labels=(*DRIVE, "state"))
+    text = "Whether the drive is tripped; absent while that is not known."
+    trips = GaugeMetricFamily("tosvert_drive_tripped", text, labels=DRIVE)
+    text = "Whether settings wait for a reset of the drive."
+    resets = GaugeMetricFamily("tosvert_drive_reset_needed", text, labels=DRIVE)
     ages = GaugeMetricFamily("tosvert_drive_age_seconds", "Time since the last answer with values.", labels=DRIVE)
     text = "Number of values of each quality."
     values = GaugeMetricFamily("tosvert_drive_values", text, labels=(*DRIVE, "quality"))
@@ -137,12 +147,15 @@ def _of_values(each: list[tuple[Labels, DriveImage]], now: float) -> Iterator[Me
         up.add_metric(of, image.link.is_connected)
         for state in LinkState:
             links.add_metric((*of, state.word), image.link is state)
+        if image.is_tripped is not None:
+            trips.add_metric(of, image.is_tripped)
+        resets.add_metric(of, image.is_reset_needed)
         seconds = age(image, now)
         ages.add_metric(of, NEVER if seconds is None else seconds)
         counts = Counter(image.quality(name, now) for name in image.names)
         for quality in Quality:
             values.add_metric((*of, quality.word), counts[quality])
-    yield from (up, links, ages, values)
+    yield from (up, links, trips, resets, ages, values)
 
 
 def _of_modbus_tcp(stats: TcpStats) -> Iterator[Metric]:

@@ -86,6 +86,9 @@ def expected(image: DriveImage, now: float) -> dict[str, str]:
     """Return what a broker must retain of a drive, from the image alone; the state apart."""
     named = {"command": "command_value"}
     wanted = {f"{ROOT}/availability": payload.presence(image.link.is_connected)}
+    wanted[f"{ROOT}/reset_needed"] = "true" if image.is_reset_needed else "false"
+    if image.is_tripped is not None:
+        wanted[f"{ROOT}/tripped"] = "true" if image.is_tripped else "false"
     for name in image.names:
         sample = image.sample(name, now)
         topic = f"{ROOT}/{named.get(name, name)}"
@@ -153,7 +156,30 @@ def test_values_alone_and_the_state_alone() -> None:
         made.read(**EVERY)
         made.connect()
     assert f"{ROOT}/state" not in values.broker.retained
-    assert set(state.broker.retained) == {STATUS, f"{ROOT}/availability", f"{ROOT}/state"}
+    drive = {f"{ROOT}/{name}" for name in ("availability", "reset_needed", "state")}
+    assert set(state.broker.retained) == {STATUS, *drive}
+
+
+def test_a_trip_is_said_at_once_and_taken_back_with_the_drive() -> None:
+    """True, false, and nothing when the drive cannot be seen; each once, and in the state too."""
+    made = Published()
+    made.read(**EVERY)
+    made.connect()
+    made.broker.topics()
+    made.pump.set_tripped(True)
+    assert made.broker.heard[-2:][0] == (f"{ROOT}/tripped", "true")
+    made.pump.set_tripped(True)
+    made.settle()
+    assert made.broker.topics() == [f"{ROOT}/tripped", f"{ROOT}/state"]
+    assert json.loads(made.broker.retained[f"{ROOT}/state"])["tripped"] is True
+    made.pump.set_tripped(False)
+    assert made.broker.retained[f"{ROOT}/tripped"] == "false"
+    made.pump.set_reset_needed(True)
+    assert made.broker.retained[f"{ROOT}/reset_needed"] == "true"
+    made.pump.set_link(LinkState.OFFLINE, "silent")
+    made.settle()
+    assert f"{ROOT}/tripped" not in made.broker.retained
+    assert json.loads(made.broker.retained[f"{ROOT}/state"])["tripped"] is None
 
 
 @pytest.mark.hazard("H19")

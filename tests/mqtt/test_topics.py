@@ -60,18 +60,19 @@ def test_the_read_back_of_a_command_is_not_published_where_commands_come_in() ->
 def test_no_two_things_share_a_topic() -> None:
     """Every topic of a drive is its own."""
     pump = of_pump()
-    every = [pump.availability, pump.state]
+    every = [pump.availability, pump.tripped, pump.reset_needed, pump.state]
     for value in pump.values.values():
         every += [topic for topic in (value.value, value.text, value.quality) if topic is not None]
     assert len(set(every)) == len(every)
-    assert not {f"{ROOT}/{name}" for name in topics.RESERVED - {"availability", "state"}} & set(every)
+    assert not {f"{ROOT}/{name}" for name in topics.RESERVED - {"availability", "state", "tripped", "reset_needed"}} & set(every)
 
 
 def test_the_overview_lists_what_is_published() -> None:
     """Both forms by default, one by choice."""
-    assert overview()[:3] == ["tosvert/hall-3/status", f"{ROOT}/availability", f"{ROOT}/state"]
+    standing = [f"{ROOT}/{name}" for name in ("availability", "tripped", "reset_needed", "state")]
+    assert overview()[:5] == ["tosvert/hall-3/status", *standing]
     assert f"{ROOT}/status_text" in overview()
-    assert overview(publish=["state"]) == ["tosvert/hall-3/status", f"{ROOT}/availability", f"{ROOT}/state"]
+    assert overview(publish=["state"]) == ["tosvert/hall-3/status", *standing]
     assert f"{ROOT}/state" not in overview(publish=["values"])
     assert f"{ROOT}/torque/quality" in overview(publish=["values"])
 

@@ -67,6 +67,9 @@ def busy() -> Rig:
         line.gaps.observe(gap)
     pump.exchanges, pump.timeouts, pump.bad_replies, pump.refusals, pump.longest_gap = 500, 3, 1, 2, 0.41
     pump.answers.observe(0.02)
+    pump.eeprom_writes.update({0x0875: 2})
+    rig.image.by_name["pump-1"].set_tripped(True)
+    rig.image.by_name["pump-1"].set_reset_needed(True)
     mqtt, tcp = rig.stats.mqtt, rig.stats.tcp
     mqtt.is_connected, mqtt.connects, mqtt.published, mqtt.dropped, mqtt.waiting = True, 2, 900, 4, 17
     tcp.connections, tcp.accepted, tcp.turned_away = 5, 9, 1
@@ -205,3 +208,13 @@ def test_the_build_is_named(busy: Rig) -> None:
     ((labels, one),) = [(of, number) for (name, of), number in scraped(busy).items() if name == "tosvert_build_info"]
     assert dict(labels).keys() == {"gateway", "version", "python"}
     assert (dict(labels)["gateway"], one) == ("hall-3", 1)
+
+
+def test_trip_reset_and_eeprom_writes_are_told(busy: Rig) -> None:
+    """A trip that is not known is absent, not 0."""
+    here = {"line": "a", "drive": "pump-1"}
+    assert value(busy, "tosvert_drive_tripped", **here) == 1
+    assert value(busy, "tosvert_drive_reset_needed", **here) == 1
+    assert value(busy, "tosvert_drive_eeprom_writes_total", **here, number="0875") == 2
+    busy.image.by_name["pump-1"].set_tripped(None)
+    assert ("tosvert_drive_tripped", frozenset(here.items())) not in scraped(busy)
