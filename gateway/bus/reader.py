@@ -10,9 +10,10 @@ from dataclasses import replace
 
 from gateway.bus import selectors
 from gateway.bus.blocks import Abilities, BlockMapping, PlannedRead, Planner, area
+from gateway.bus.proof import Proof
 from gateway.bus.provision import RESET_MARK, Provision, selector_registers
 from gateway.bus.schedule import Job, spread
-from gateway.bus.setpoint import Setpoint, selected
+from gateway.bus.setpoint import Control, Setpoint, selected
 from gateway.bus.work import Learnt, Task, Work
 from gateway.drives.register import Register
 from gateway.errors import Refusal, Refused
@@ -36,6 +37,7 @@ RECHECK_SOON = 5.0  # the same while a reset is awaited, or while the block carr
 IDENTITY_REGISTERS = ("capacity_code", "cpu_version", "series_code")  # FB05, FE08, FB07
 BLOCK_MODE = "block_mode"  # FA80: 1 makes the block carry the display's text (E6581657 7.3.1)
 SERIES = "series_code"
+DISPLAY_NOTE = "FA80 is 1: the block carries the display's text; it is not used"
 TRIP_REGISTERS = ("trip_code", "status")  # FC90, FD01: what is read at once when a drive trips or no longer does
 
 
@@ -52,23 +54,17 @@ class DriveReader:
         self._planner = planner
         self._phase = phase
         self._missing: list[Register] = []
-        self._candidates: list[BlockMapping] = []
-        self._proof: list[Work] = []
-        self._blocks: list[tuple[int, ...]] = []
-        self._singles: dict[str, int] = {}
+        self._proof = Proof(drive, planner)
         self._audit: selectors.Audit | None = None
         self._tries = 0
         self._knows_identification = False
         self._pending: Work | None = None
-        self._proofs = 0
         self._as_set: BlockMapping | None = None
-        self._refuted: BlockMapping | None = None
         self._provision = Provision(drive)
         self._before: BlockMapping | None = None  # what was in force before the selectors were provisioned
-        self._no_display: tuple[int, ...] = ()  # the last block that looked like the display's text and was not
-        self.setpoint: Setpoint | None = None
-        self._writes_in_force: tuple[str, ...] = ()
-        self._is_setpoint_proven = False
+        self._may_be_text: tuple[int, ...] = ()  # the last block that looked like the display's text
+        self._is_no_text: tuple[int, ...] = ()  # the last of those that was found not to be
+        self._control = Control(drive, planner)
 
     # ---- who is there
 
@@ -122,9 +118,9 @@ class DriveReader:
             case Task.PROVISION, Written() if work.register is not None:
                 return self._provisioned(work.register, now)
             case Task.SETPOINT, Written() if work.register is not None:
-                return Learnt(once=[self._verification(work.register)])
+                return self._control.written(work.register)
             case Task.VERIFY, Words(words) if work.read is not None:
-                return self._verified(work.read, words[0], now)
+                return self._control.verified(work.read, words[0])
         return Learnt()
 
     def _identified(self, identity: Identity, now: float) -> Learnt:
@@ -166,7 +162,7 @@ class DriveReader:
     def forget(self) -> None:
         """Forget all that a reset or another drive may have changed; the mapping in force stays a candidate."""
         if self.able.mapping is not None:
-            self._candidates = [self.able.mapping]
+            self._proof.candidates = [self.able.mapping]
         self.is_set_up = False
         self._knows_identification = False
         self._tries = 0
@@ -185,8 +181,7 @@ class DriveReader:
         names = (*IDENTITY_REGISTERS, *((BLOCK_MODE, RESET_MARK) if self._planner.has_block else ()))
         wanted = [model.registers[name] for name in names if name in model.registers]
         wanted += [*self._selector_registers(), *self.drive.bases]
-        if self.able.mapping is not None and self.able.mapping not in self._candidates:
-            self._candidates.insert(0, self.able.mapping)
+        self._proof.propose(self.able.mapping, first=True)
         self.able = replace(self.able, mapping=None)
         self._missing = list({register.name: register for register in wanted}.values())
         self.facts.clear()
@@ -256,19 +251,19 @@ class DriveReader:
 
     def _start_proof(self, now: float, notes: Sequence[str] = ()) -> Learnt:
         self._as_set = as_set = self._mapping_as_set()
-        self._writes_in_force = selected(self.drive.model, self.facts)
-        self._proofs = 0
-        self._refuted = None
+        self._control.block = selected(self.drive.model, self.facts)
+        self._proof.begin()
         if self._provision.is_marked and self.facts.get(RESET_MARK) == 0:
             self._provision.reset_seen()
-            self._candidates.clear()
+            self._proof.candidates.clear()
         if self._provision.is_marked:  # what was set is known not to be in force
-            self._candidates = [self._before] if self._before is not None else []
-        elif as_set is not None and as_set not in self._candidates:
-            self._candidates.append(as_set)
+            self._proof.candidates.clear()
+            self._proof.propose(self._before)
+        else:
+            self._proof.propose(as_set)
         if self.facts.get(BLOCK_MODE) == 1:
-            self._candidates.clear()
-            return self._start_polls(now, [*notes, "FA80 is 1: the block carries the display's text; it is not used"])
+            self._proof.candidates.clear()
+            return self._start_polls(now, [*notes, DISPLAY_NOTE])
         return self._next_proof(now, notes)
 
     @property
@@ -277,58 +272,29 @@ class DriveReader:
         as_set, mapping = self._as_set, self.able.mapping
         if as_set is None or self._provision.awaits_reset:
             return self._provision.awaits_reset and as_set != self._before
-        return as_set == self._refuted or (mapping is not None and mapping != as_set)
+        return as_set == self._proof.refuted or (mapping is not None and mapping != as_set)
 
     def _next_proof(self, now: float, notes: Sequence[str] = ()) -> Learnt:
-        """Try the next mapping that may be in force: block, single reads, block."""
-        while self._candidates:
-            mapping = self._candidates[0]
-            wanted = {r.name: r for r in mapping if r is not None and r.name in self.drive.points}
-            able = Abilities(mapping=mapping, no_direct=self.able.no_direct)
-            reads = self._planner.plan(list(wanted.values()), able) if wanted else ()
-            block = next((read for read in reads if isinstance(read.request, ReadBlock)), None)
-            if block is None:  # brings nothing that is wanted, or not cheaper than other reads
-                self._candidates.pop(0)
-                continue
-            singles = [
-                Work(Task.PROVE_SINGLE, ReadWords(self.drive.number, r.address), self._alone(r))
-                for r in block.registers
-                if r.name in wanted
-            ]
-            self._blocks, self._singles = [], {}
-            edge = Work(Task.PROVE_BLOCK, block.request, block)
-            self._proof = [edge, *singles, edge]
-            return Learnt(jobs=[self._at_once(self._proof.pop(0), now)], notes=list(notes))
-        return self._start_polls(now, notes)
+        """Try the next mapping that may be in force."""
+        step = self._proof.next(self.able)
+        if step is None:
+            return self._start_polls(now, notes)
+        return Learnt(jobs=[self._at_once(step, now)], notes=list(notes))
 
     def _alone(self, register: Register) -> PlannedRead:
         return PlannedRead(ReadWords(self.drive.number, register.address), (register,))
 
     def _proven(self, work: Work, words: Sequence[int], now: float) -> Learnt:
-        if work.task is Task.PROVE_BLOCK:
-            self._blocks.append(tuple(words))
-        elif work.read is not None:
-            self._singles[work.read.registers[0].name] = words[0]
-        if self._proof:
-            return Learnt(jobs=[self._at_once(self._proof.pop(0), now)])
-        mapping = self._candidates[0]
-        is_right = selectors.fits(mapping, self._blocks[0], self._blocks[-1], self._singles)
-        self._proofs += 1
-        if not is_right and self._proofs < selectors.PROOFS:
-            return self._next_proof(now)
-        self._proofs = 0
-        self._candidates.pop(0)
-        self._refuted = None if is_right else mapping
+        is_right = self._proof.take(work, words)
         if is_right:
-            if mapping == self._as_set:
+            self.able = replace(self.able, mapping=self._proof.proven)
+            if self.able.mapping == self._as_set:
                 self._provision.reset_seen()
-            self._candidates.clear()
-            self.able = replace(self.able, mapping=mapping)
-            return self._start_polls(now)
         learnt = self._next_proof(now)
-        learnt.warnings.append(
-            "the block does not carry what F875-F879 say: a changed selector acts only after a reset of the drive"
-        )
+        if is_right is False:
+            learnt.warnings.append(
+                "the block does not carry what F875-F879 say: a changed selector acts only after a reset of the drive"
+            )
         return learnt
 
     # ---- its polls
@@ -369,7 +335,7 @@ class DriveReader:
         if blocks and blocks[0] is not None:
             carried = enumerate(blocks[0].carries)
             watched = tuple((i, r) for i, r in carried if r is not None and r.name in self.drive.points)
-            proven = {r.name for _, r in watched if self._singles.get(r.name, 0) & r.mask}
+            proven = {r.name for _, r in watched if self._proof.singles.get(r.name, 0) & r.mask}
             as_set = self._as_set or ()
             settled = {r.name for i, r in watched if i < len(as_set) and as_set[i] is r}
             unsettled = frozenset(r.name for _, r in watched) - settled
@@ -409,7 +375,7 @@ class DriveReader:
         is_block = isinstance(read.request, ReadBlock)
         if is_block and self._may_be_display(words):
             register = self.drive.model.registers[BLOCK_MODE]
-            self._no_display = tuple(words)  # believed next time, unless FA80 says otherwise
+            self._may_be_text = tuple(words)
             return Learnt(once=[Work(Task.BLOCK_MODE, ReadWords(self.drive.number, register.address))])
         if is_block and self._audit is not None and not self._audit.block(words):
             self._audit = None
@@ -424,17 +390,19 @@ class DriveReader:
 
     def _may_be_display(self, words: Sequence[int]) -> bool:
         is_suspect = BLOCK_MODE in self.drive.model.registers and selectors.may_be_display(words)
-        return is_suspect and tuple(words) != self._no_display
+        return is_suspect and tuple(words) != self._is_no_text
 
     def _block_mode(self, word: int, now: float) -> Learnt:
         """Take FA80: 1 takes the block away until it is 0 again."""
-        if word != 1 or self.able.mapping is None:
+        if word != 1:
+            self._is_no_text = self._may_be_text
             return Learnt()
-        self._candidates = [self.able.mapping]
+        if self.able.mapping is None:
+            return Learnt()
+        self._proof.candidates = [self.able.mapping]
         self.able = replace(self.able, mapping=None)
         self.facts[BLOCK_MODE] = 1
-        self._no_display = ()
-        return Learnt(jobs=self.polls(now), notes=["FA80 is 1: the block carries the display's text; it is not used"])
+        return Learnt(jobs=self.polls(now), notes=[DISPLAY_NOTE])
 
     def _untrusted(self, read: PlannedRead, words: Sequence[int]) -> list[Register]:
         is_block = isinstance(read.request, ReadBlock) and self._audit is not None
@@ -456,66 +424,21 @@ class DriveReader:
     # ---- its setpoint
 
     def control(self, setpoint: Setpoint | None) -> Learnt:
-        """Take the words that the drive is to have from now on; None: it is read only.
-
-        They go with every read of the block where F870 and F871 select them, else by writes of their own, once.
-        """
-        self.setpoint = setpoint
-        self._is_setpoint_proven = False
-        if setpoint is None or self._goes_with_block(setpoint):
-            return Learnt()
-        model = self.drive.model
-        once = [Work(Task.SETPOINT, write, register=r) for r, write in setpoint.writes(self.drive.number, model)]
-        return Learnt(once=once, notes=["the setpoint goes by writes of its own: no exchange carries it"])
-
-    def _goes_with_block(self, setpoint: Setpoint) -> bool:
-        has_poll = any(isinstance(read.request, ReadBlock) for _, reads in self.plan() for read in reads)
-        model, codec = self.drive.model, self._planner.codec
-        return has_poll and setpoint.fits(self._writes_in_force, model, codec)
+        """Take the words that the drive is to have from now on; None: it is read only."""
+        has_block = any(isinstance(read.request, ReadBlock) for _, reads in self.plan() for read in reads)
+        return self._control.take(setpoint, has_block=has_block)
 
     def request(self, work: Work) -> Request:
         """Return the frame of a piece of work as it is to be sent now: a block read takes the setpoint along."""
-        if work.task is not Task.POLL or not isinstance(work.request, ReadBlock) or self.setpoint is None:
-            return work.request
-        model = self.drive.model
-        if not self.setpoint.fits(self._writes_in_force, model, self._planner.codec):
-            return work.request
-        return self.setpoint.exchange(work.request, self._writes_in_force, model)
+        is_block_poll = work.task is Task.POLL and isinstance(work.request, ReadBlock)
+        return self._control.with_setpoint(work.request) if is_block_poll else work.request
 
     def _exchanged(self, read: PlannedRead, words: Sequence[int], failed: Sequence[int], now: float) -> Learnt:
-        """Take what an exchange read; the first one's writes are read back: F870 and F871 may not be in force."""
+        """Take what an exchange read, and what became of its writes."""
         learnt = self._polled(read, words, now)
-        if self.setpoint is None:
-            return learnt
-        if failed:
-            names = ", ".join(self._writes_in_force[place] for place in failed)
-            return self._without_exchange(learnt, f"not written by the block: {names}")
-        if not self._is_setpoint_proven:
-            self._is_setpoint_proven = True
-            learnt.once += [self._verification(self.drive.model.registers[name]) for name in self.setpoint.words]
-        return learnt
-
-    def _verification(self, register: Register) -> Work:
-        read = self._alone(register)
-        return Work(Task.VERIFY, read.request, read, register)
-
-    def _verified(self, read: PlannedRead, word: int, now: float) -> Learnt:
-        learnt = Learnt(read.values([word]))
-        register = read.registers[0]
-        if self.setpoint is None or register.name not in self.setpoint.words or self.setpoint.is_held(register, word):
-            return learnt
-        if self._goes_with_block(self.setpoint):
-            reason = f"{register.name} reads {word:04X}H: F870 and F871 are not in force"
-            return self._without_exchange(learnt, reason)
-        learnt.warnings.append(f"{register.name} reads back {word:04X}H, not what was written")
-        return learnt
-
-    def _without_exchange(self, learnt: Learnt, reason: str) -> Learnt:
-        """Give the exchange up until the drive is set up anew, and write the setpoint by itself."""
-        self._writes_in_force = ()
-        again = self.control(self.setpoint)
-        learnt.once += again.once
-        learnt.warnings.append(f"{reason}; single writes instead")
+        written = self._control.exchanged(failed)
+        learnt.once += written.once
+        learnt.warnings += written.warnings
         return learnt
 
     # ---- trips
@@ -541,9 +464,9 @@ class DriveReader:
             case Work(Task.TRIP | Task.BLOCK_MODE | Task.VERIFY):
                 return Learnt()
             case Work(Task.POLL, request=ReadBlock()) if isinstance(self.request(work), Exchange):
-                return self._without_exchange(Learnt(), f"exchange: {refused}")
+                return self._control.without_exchange(f"exchange: {refused}")
             case Work(Task.PROVE_BLOCK | Task.PROVE_SINGLE):
-                self._candidates.pop(0)
+                self._proof.drop()
                 return self._next_proof(now)
             case Work(Task.FACT, read=PlannedRead() as read):
                 return self._fact_refused(read, refused, now)
