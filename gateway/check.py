@@ -9,6 +9,7 @@ from gateway.bus import selectors
 from gateway.bus.blocks import Abilities, PlannedRead, Planner
 from gateway.bus.reader import DriveReader
 from gateway.protocol.pdu import ReadBlock
+from gateway.protocol.registry import PROTOCOLS
 from gateway.site import Drive, Line, PollGroup, Site
 
 FULL = 1.0  # share of the line
@@ -89,9 +90,13 @@ def _drive(plan: DrivePlan) -> Iterator[str]:
     drive = plan.drive
     yield f"  drive {drive.name}: number {drive.number}, {drive.model.name}, {drive.protocol}, unit {drive.unit}"
     uses_block = any(isinstance(read.request, ReadBlock) for _, reads in plan.groups for read in reads)
+    yield from _forms(plan)
     if uses_block:
         pairs = ", ".join(f"F{875 + i}={code}" for i, code in enumerate(plan.selectors))
-        yield f"    set in the drive, then reset it: {pairs}"
+        who = "set in the drive, then reset it"
+        if drive.provision:
+            who = "set once by the gateway (EEPROM), then reset the drive"
+        yield f"    {who}: {pairs}"
     for group, reads in plan.groups:
         period = f"{group.period * 1000:.0f} ms" if group.period else "as fast as possible"
         took = plan.planner.time(reads) * 1000
@@ -101,6 +106,18 @@ def _drive(plan: DrivePlan) -> Iterator[str]:
         missing = {r.name for r in group.registers} - {r.name for read in reads for r in read.registers}
         if missing:
             yield f"      {', '.join(sorted(missing))}: come with a faster block"
+
+
+def _forms(plan: DrivePlan) -> Iterator[str]:
+    """Say what the protocol has not got, and what is used instead."""
+    forms, drive = plan.drive.codec.forms, plan.drive
+    has_model_block = drive.model.blocks.indirect_read_maximum > 0
+    if has_model_block and not forms.has_block:
+        number = drive.number
+        better = [name for name, c in PROTOCOLS.items() if c.forms.has_block and number in c.forms.numbers]
+        yield f"    {drive.protocol} has no block: single reads instead; {' and '.join(better)} have one"
+    if drive.provision and not plan.planner.has_block:
+        yield "    provision = true has no effect: there is no block to set selectors for"
 
 
 def _read(read: PlannedRead) -> str:
