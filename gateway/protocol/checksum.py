@@ -22,3 +22,8 @@ def crc16(frame: bytes | bytearray | memoryview) -> bytes:
     for byte in frame:
         crc = crc >> 8 ^ _CRC_TABLE[(crc ^ byte) & 0xFF]
     return crc.to_bytes(2, "little")
+
+
+def sum8(frame: bytes | bytearray | memoryview) -> int:
+    """Return the lowest byte of the sum of a TOSHIBA frame's bytes (E6581657 4.1.1, 4.1.2)."""
+    return sum(frame) & 0xFF

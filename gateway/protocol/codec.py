@@ -44,10 +44,17 @@ class Forms:
 
 
 class Decoder(Protocol):
-    """Waits for the reply to one request; bounded, strict, and not put off by bytes in front."""
+    """Waits for the reply to one request; bounded, strict, and not put off by bytes in front.
+
+    It reads from left to right, so that the way in which bytes were cut makes no difference.
+    """
 
     def feed(self, data: bytes) -> None:
-        """Take bytes as they come, in pieces of any size."""
+        """Take bytes as they come, in pieces of any size; an empty piece says that the line has fallen silent.
+
+        Only silence tells a few answers from an echo with another answer behind it, and a broken beginning from
+        one that goes on: feed it before giving up, and ask for the reply once more.
+        """
         ...
 
     def next_reply(self) -> Reply | None:

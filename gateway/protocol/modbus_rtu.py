@@ -1,20 +1,59 @@
-"""MODBUS-RTU as the drives speak it: reads in three forms and the identification."""
+"""MODBUS-RTU as the drives speak it (E6581657 5).
+
+The answer to 06H is the same bytes as the request. It cannot be told from an adapter's echo by its bytes: the
+exchange compares times with the wire, and writes are read back.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import partial
+
 from gateway.errors import Refusal, Refused
+from gateway.protocol.answers import AnswerDecoder, Answers, Said, Shape
 from gateway.protocol.checksum import crc16
 from gateway.protocol.codec import Answering, Forms, NoSuchForm
-from gateway.protocol.pdu import Identify, Identity, ReadBlock, ReadWords, Reply, Request, Words
+from gateway.protocol.fields import ADDRESS, LAST_WORD, WORD, check, check_group, packed, unpacked
+from gateway.protocol.pdu import (
+    Exchange,
+    Exchanged,
+    Group,
+    Identify,
+    Identity,
+    Proportional,
+    ReadBlock,
+    ReadWords,
+    Request,
+    Target,
+    Words,
+    WriteBlock,
+    WriteRam,
+    WriteStored,
+    Written,
+)
 
 MAX_ADU = 256  # bytes, number to CRC (MODBUS over Serial Line V1.02)
+EVERYBODY = 0
+NUMBERS = range(1, 248)
+
 READ = 0x03  # E6581657 5.1.1-5.1.3
-IDENTIFICATION = 0x2B  # E6581657 5.1.7
+WRITE = 0x06  # 5.1.4.1
+WRITE_WORDS = 0x10  # 5.1.4.2, 5.1.5
+EXCHANGE = 0x17  # 5.1.6
+IDENTIFICATION = 0x2B  # 5.1.7
 MEI_TYPE = 0x0E
-ERROR_FLAG = 0x80  # E6581657 5.3
+ERROR_FLAG = 0x80  # 5.3
 ERROR_SIZE = 5
+
+DIRECT_WORDS = range(1, 9)  # 5.1.1, 5.1.3
+BLOCK_WORDS = range(2, 6)  # 5.1.2
+BLOCK_WRITE_WORDS = range(2, 3)  # 5.1.5
+READ_CODES = range(4)  # 5.1.7
+
 IDENTITY_HEADER = 8  # number, function, MEI type, code, conformity, frames, next object, number of objects
 LONGEST_IDENTITY = 64  # characters; the printed ones have 35 and 37
+CONFORMITY = frozenset((0x01, 0x02, 0x03, 0x81, 0x82, 0x83))  # MODBUS Application Protocol V1.1b3 6.21
+ONLY_FRAME = b"\x00\x00"  # no more frames, no next object
 
 REFUSALS = {
     1: Refusal.COMMAND,
@@ -24,119 +63,151 @@ REFUSALS = {
 }
 
 
+@dataclass(frozen=True, slots=True)
 class ModbusRtu:
-    """The codec."""
+    """The codec. `writes_by_10h`: write single words by 10H in place of 06H (E6581657 5.1.4.2)."""
+
+    writes_by_10h: bool = False
 
     name = "modbus-rtu"
-    forms = Forms(range(1, 248), has_direct_block=True, has_block=True, has_exchange=True, has_identification=True)
+    forms = Forms(NUMBERS, has_direct_block=True, has_block=True, has_exchange=True, has_identification=True)
 
     def encode(self, request: Request) -> bytes:
         """Return the frame of a request, CRC included."""
-        match request:
-            case ReadWords(int(number), address, count) | ReadBlock(int(number), address, count):
-                body = bytes((number, READ)) + address.to_bytes(2, "big") + count.to_bytes(2, "big")
-            case Identify(int(number), code):
-                body = bytes((number, IDENTIFICATION, MEI_TYPE, code, 0))
-            case _:
-                raise NoSuchForm(f"MODBUS-RTU has no frame for {request}")
+        body = bytes((self._number(request),)) + self._body(request)
         return body + crc16(body)
 
     def answering(self, request: Request) -> Answering:
-        """Say whether a request is answered."""
-        return Answering.ALWAYS
+        """Say whether a request is answered: number 0 never is."""
+        if isinstance(request.number, Group):
+            return Answering.NEVER
+        is_unanswered = isinstance(request, WriteRam) and not request.is_answered
+        return Answering.MAYBE if is_unanswered else Answering.ALWAYS
 
     def answer_size(self, request: Request) -> int:
         """Return the characters of the normal answer; of an identification, the most that is taken."""
-        match request:
-            case Identify():
-                return LONGEST_IDENTITY
-            case ReadWords() | ReadBlock():
-                return 5 + 2 * request.count
-        raise NoSuchForm(f"MODBUS-RTU has no frame for {request}")
+        return self._answers(request).size
 
     def least_answer(self, request: Request) -> int:
         """Return the characters of the shortest answer."""
-        return ERROR_SIZE
+        return self._answers(request).least
 
-    def decoder(self, request: Request) -> _Decoder:
+    def decoder(self, request: Request) -> AnswerDecoder:
         """Return a decoder that waits for the reply to this request."""
-        return _Decoder(request)
+        return AnswerDecoder(self._answers(request))
+
+    def _number(self, request: Request) -> int:
+        match request.number:
+            case int(number):
+                check(self.name, "inverter number", number, self.forms.numbers)
+                return number
+            case Group() as group:
+                check_group(self.name, group, self.forms.has_digit_groups)
+                if not isinstance(request, WriteRam | WriteStored | WriteBlock):
+                    raise NoSuchForm(f"{self.name}: nobody answers number 0: it is for writes, not for {request}")
+                return EVERYBODY
+        raise NoSuchForm(f"{self.name}: a request needs an inverter number: {request}")
+
+    def _body(self, request: Request) -> bytes:
+        match request:
+            case ReadWords(_, address, count):
+                check(self.name, "words of a direct read", count, DIRECT_WORDS)
+                check(self.name, "last communication number of a read", address + count - 1, range(LAST_WORD + 1))
+                return bytes((READ,)) + packed(ADDRESS, address, count)
+            case ReadBlock(_, address, count):
+                check(self.name, "words of a block read", count, BLOCK_WORDS)
+                return bytes((READ,)) + packed(ADDRESS, address, count)
+            case WriteRam(_, address, word) | WriteStored(_, address, word):
+                if self.writes_by_10h:
+                    return bytes((WRITE_WORDS,)) + _counted(address, (word,))
+                return bytes((WRITE,)) + packed(ADDRESS, address) + packed(WORD, word)
+            case WriteBlock(_, address, words):
+                check(self.name, "words of a block write", len(words), BLOCK_WRITE_WORDS)
+                return bytes((WRITE_WORDS,)) + _counted(address, words)
+            case Exchange(_, read_address, count, address, words):
+                check(self.name, "words of a block read", count, BLOCK_WORDS)
+                check(self.name, "words of a block write", len(words), BLOCK_WRITE_WORDS)
+                return bytes((EXCHANGE,)) + packed(ADDRESS, read_address, count) + _counted(address, words)
+            case Identify(_, code):
+                check(self.name, "read code of an identification", code, READ_CODES)
+                return bytes((IDENTIFICATION, MEI_TYPE, code, 0))
+            case Proportional():
+                raise NoSuchForm(f"{self.name} has no proportional command: write the frequency of each drive")
+
+    def _answers(self, request: Request) -> Answers:
+        echo = self.encode(request)
+        if self.answering(request) is Answering.NEVER:
+            return Answers(echo)
+        number, function = echo[:2]
+        refusal = Shape(bytes((number, function | ERROR_FLAG)), ERROR_SIZE, partial(_refusal, request.number))
+        normal = () if self.answering(request) is Answering.MAYBE else (_normal(echo, request),)
+        return Answers(echo, normal, (refusal,))
 
 
-class _Decoder:
-    """Finds the one frame that answers: number, function and count must match, and the CRC.
+def _counted(address: int, words: tuple[int, ...]) -> bytes:
+    """Return the number, the count of words, the count of bytes and the words of a write."""
+    data = packed(WORD, *words)
+    return packed(ADDRESS, address, len(words)) + bytes((len(data),)) + data
 
-    Bytes in front (an adapter's echo, a glitch of the turnaround, a late answer of another drive) are
-    passed over; a frame counts only whole.
-    """
 
-    def __init__(self, request: Request) -> None:
-        function = IDENTIFICATION if isinstance(request, Identify) else READ
-        if not isinstance(request, Identify | ReadWords | ReadBlock) or not isinstance(request.number, int):
-            raise NoSuchForm(f"MODBUS-RTU has no answer to {request}")
-        self._request = request
-        self._error = bytes((request.number, function | ERROR_FLAG))
-        if isinstance(request, Identify):
-            self._header = bytes((request.number, function, MEI_TYPE, request.code))
-        else:
-            self._header = bytes((request.number, function, 2 * request.count))
-        self._buffer = bytearray()
+def _normal(echo: bytes, request: Request) -> Shape:
+    """Return what the normal answer to a frame looks like."""
+    head = echo[:2]
+    match request:
+        case Identify():
+            return Shape(echo[:4], LONGEST_IDENTITY, _identity, _identity_size)
+        case ReadWords() | ReadBlock():
+            return Shape(head + bytes((2 * request.count,)), 5 + 2 * request.count, _words)
+        case Exchange():
+            return Shape(head + bytes((2 * request.count,)), 5 + 2 * request.count, _exchanged)
+    return Shape(echo[:6], 8, _written)  # number, function, address, and the word of 06H or the count of 10H
 
-    @property
-    def received(self) -> bytes:
-        return bytes(self._buffer)
 
-    def feed(self, data: bytes) -> None:
-        self._buffer += data
-        if len(self._buffer) > 2 * MAX_ADU:
-            del self._buffer[:-MAX_ADU]
+def _is_sound(frame: bytes) -> bool:
+    return crc16(frame[:-2]) == frame[-2:]
 
-    def next_reply(self) -> Reply | None:
-        """Return the reply, None while it is not whole; Refused when the drive answers with an error code."""
-        for start in range(len(self._buffer)):
-            if self._buffer.startswith(self._header, start):
-                reply = self._reply_at(start)
-                if reply is not None:
-                    return reply
-            elif self._buffer.startswith(self._error, start):
-                self._refusal_at(start)
+
+def _words(frame: bytes) -> Said | None:
+    return Words(unpacked(frame[3:-2])) if _is_sound(frame) else None
+
+
+def _exchanged(frame: bytes) -> Said | None:
+    return Exchanged(unpacked(frame[3:-2])) if _is_sound(frame) else None
+
+
+def _written(frame: bytes) -> Said | None:
+    return Written() if _is_sound(frame) else None
+
+
+def _refusal(target: Target, frame: bytes) -> Said | None:
+    code = frame[2]
+    reason = REFUSALS.get(code, Refusal.OTHER)
+    return Refused(f"number {target}: error {code:02X} ({reason.value})", reason) if _is_sound(frame) else None
+
+
+def _identity_size(beginning: bytes) -> int:
+    """Walk the objects of an identification, which alone tell its length; 0 where a fixed field is wrong."""
+    if len(beginning) < IDENTITY_HEADER:
+        return IDENTITY_HEADER
+    if beginning[4] not in CONFORMITY or beginning[5:7] != ONLY_FRAME:
+        return 0
+    size = IDENTITY_HEADER
+    for _ in range(beginning[7]):
+        size += 2
+        if size > len(beginning):
+            break
+        size += beginning[size - 1]
+    size += 2
+    return size if size <= LONGEST_IDENTITY else 0
+
+
+def _identity(frame: bytes) -> Said | None:
+    if not _is_sound(frame):
         return None
-
-    def _frame(self, start: int, size: int) -> bytes | None:
-        """Return the frame of that size without its CRC, or None where it is not whole or not sound."""
-        end = start + size
-        if end > len(self._buffer) or crc16(self._buffer[start : end - 2]) != self._buffer[end - 2 : end]:
-            return None
-        return bytes(self._buffer[start : end - 2])
-
-    def _reply_at(self, start: int) -> Reply | None:
-        if isinstance(self._request, Identify):
-            return self._identity_at(start)
-        frame = self._frame(start, 5 + 2 * self._request.count)
-        if frame is None:
-            return None
-        return Words(tuple(int.from_bytes(frame[i : i + 2], "big") for i in range(3, len(frame), 2)))
-
-    def _identity_at(self, start: int) -> Identity | None:
-        """Walk the objects of an identification; its length is known only from them."""
-        if start + IDENTITY_HEADER > len(self._buffer):
-            return None
-        objects: dict[int, str] = {}
-        position = start + IDENTITY_HEADER
-        for _ in range(self._buffer[start + IDENTITY_HEADER - 1]):
-            if position + 2 > len(self._buffer):
-                return None
-            number, size = self._buffer[position : position + 2]
-            value = self._buffer[position + 2 : position + 2 + size]
-            objects[number] = value.decode("ascii", "replace")
-            position += 2 + size
-        if self._frame(start, position + 2 - start) is None:
-            return None
-        return Identity(objects.get(0, ""), objects.get(1, ""), objects.get(2, ""))
-
-    def _refusal_at(self, start: int) -> None:
-        frame = self._frame(start, ERROR_SIZE)
-        if frame is not None:
-            code = frame[2]
-            reason = REFUSALS.get(code, Refusal.OTHER)
-            raise Refused(f"number {self._request.number}: error {code:02X} ({reason.value})", reason)
+    objects: dict[int, str] = {}
+    at = IDENTITY_HEADER
+    while at < len(frame) - 2:
+        number, size = frame[at : at + 2]
+        objects[number] = frame[at + 2 : at + 2 + size].decode("ascii", "replace")
+        at += 2 + size
+    return Identity(objects.get(0, ""), objects.get(1, ""), objects.get(2, ""))

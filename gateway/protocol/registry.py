@@ -6,5 +6,9 @@ from collections.abc import Mapping
 
 from gateway.protocol.codec import Codec
 from gateway.protocol.modbus_rtu import ModbusRtu
+from gateway.protocol.toshiba_ascii import ToshibaAscii
+from gateway.protocol.toshiba_binary import ToshibaBinary
 
-PROTOCOLS: Mapping[str, Codec] = {codec.name: codec for codec in (ModbusRtu(),)}
+_CODECS: tuple[Codec, ...] = (ModbusRtu(), ToshibaAscii(), ToshibaBinary())
+
+PROTOCOLS: Mapping[str, Codec] = {codec.name: codec for codec in _CODECS}
