@@ -10,6 +10,7 @@ from dataclasses import replace
 
 from gateway.bus import selectors
 from gateway.bus.blocks import Abilities, BlockMapping, PlannedRead, Planner, area
+from gateway.bus.identification import IDENTITY_REGISTERS, Identification
 from gateway.bus.proof import Proof
 from gateway.bus.provision import RESET_MARK, Provision, selector_registers
 from gateway.bus.schedule import Job, spread
@@ -20,7 +21,6 @@ from gateway.errors import Refusal, Refused
 from gateway.protocol.pdu import (
     Exchange,
     Exchanged,
-    Identify,
     Identity,
     ReadBlock,
     ReadWords,
@@ -34,9 +34,7 @@ from gateway.site import Drive, PollGroup
 FIRST_WITHIN = 0.5  # seconds after a drive is ready, for values that are read seldom
 RECHECK_EVERY = 60.0  # seconds between two looks at F875-F879, which somebody may change at the panel
 RECHECK_SOON = 5.0  # the same while a reset is awaited, or while the block carries the display's text
-IDENTITY_REGISTERS = ("capacity_code", "cpu_version", "series_code")  # FB05, FE08, FB07
 BLOCK_MODE = "block_mode"  # FA80: 1 makes the block carry the display's text (E6581657 7.3.1)
-SERIES = "series_code"
 DISPLAY_NOTE = "FA80 is 1: the block carries the display's text; it is not used"
 TRIP_REGISTERS = ("trip_code", "status")  # FC90, FD01: what is read at once when a drive trips or no longer does
 
@@ -46,7 +44,6 @@ class DriveReader:
 
     def __init__(self, drive: Drive, planner: Planner, phase: float) -> None:
         self.drive = drive
-        self.identity: Identity | None = None
         self.facts: dict[str, int] = {}
         self.able = Abilities()
         self.is_set_up = False
@@ -54,10 +51,9 @@ class DriveReader:
         self._planner = planner
         self._phase = phase
         self._missing: list[Register] = []
+        self._who = Identification(drive)
         self._proof = Proof(drive, planner)
         self._audit: selectors.Audit | None = None
-        self._tries = 0
-        self._knows_identification = False
         self._pending: Work | None = None
         self._as_set: BlockMapping | None = None
         self._provision = Provision(drive)
@@ -69,27 +65,8 @@ class DriveReader:
     # ---- who is there
 
     def identify(self) -> Work:
-        """Return the question who is there.
-
-        MODBUS-RTU: 2BH, and every third time a plain read, for drives that know no 2BH; one that has answered
-        2BH, rightly or as a stranger, is asked nothing else; one that was set up without is asked by plain reads.
-        TOSHIBA: the series code where the model has a known one, else a plain read.
-        """
-        self._tries += 1
-        plain = self._plain_identification()
-        if self._planner.codec.forms.has_identification:
-            is_plain = not self._knows_identification and (self.is_set_up or self._tries % 3 == 0)
-            if not is_plain or plain is None:
-                return Work(Task.IDENTIFY, Identify(self.drive.number))
-        if plain is None:
-            plain = next(iter(self.drive.points.values())).register
-        return Work(Task.IDENTIFY, ReadWords(self.drive.number, plain.address), self._alone(plain))
-
-    def _plain_identification(self) -> Register | None:
-        model = self.drive.model
-        has_series = model.series_code is not None and not self._planner.codec.forms.has_identification
-        names = (SERIES, "status") if has_series and SERIES not in self.absent else ("status",)
-        return next((model.registers[name] for name in names if name in model.registers), None)
+        """Return the question who is there."""
+        return self._who.ask(is_set_up=self.is_set_up)
 
     def on_reply(self, work: Work, reply: Reply, now: float) -> Learnt:
         """Take an answer."""
@@ -124,29 +101,20 @@ class DriveReader:
         return Learnt()
 
     def _identified(self, identity: Identity, now: float) -> Learnt:
-        self._knows_identification = True
-        expected = self.drive.model.identity
-        if expected and not identity.device.startswith(expected):
-            self.is_set_up = False
-            self.identity = None
-            self._pending = None
-            return Learnt(
-                stranger=f"identity mismatch: {self.drive.model.name} is configured, {identity.device!r} answers"
-            )
-        is_same = self.identity in (None, identity)
-        self.identity = identity
-        return self._resumed(now) if is_same else self._set_up(now)
+        known = self._who.identity
+        if stranger := self._who.is_stranger(identity):
+            return self._stranger(stranger)
+        return self._resumed(now) if known in (None, identity) else self._set_up(now)
 
     def _answers(self, register: Register, word: int, now: float) -> Learnt:
         """Take a plain read as the sign that somebody is there; the series code says who."""
-        series = self.drive.model.series_code
-        if register.name == SERIES and word != series:
-            self.is_set_up = False
-            self._pending = None
-            return Learnt(
-                stranger=f"identity mismatch: {self.drive.model.name} has series code {series}, {word} answers"
-            )
-        return self._resumed(now)
+        stranger = self._who.is_other_series(register, word)
+        return self._stranger(stranger) if stranger else self._resumed(now)
+
+    def _stranger(self, reason: str) -> Learnt:
+        self.is_set_up = False
+        self._pending = None
+        return Learnt(stranger=reason)
 
     def _resumed(self, now: float) -> Learnt:
         """Go on where a lost frame broke in: with the polls, or with the step of the set-up that got no answer.
@@ -164,10 +132,8 @@ class DriveReader:
         if self.able.mapping is not None:
             self._proof.candidates = [self.able.mapping]
         self.is_set_up = False
-        self._knows_identification = False
-        self._tries = 0
         self._pending = None
-        self.identity = None
+        self._who = Identification(self.drive)
         self.able = Abilities()
         self.absent.clear()
         self._audit = None
@@ -455,7 +421,7 @@ class DriveReader:
         """Take a refusal: remember it, and serve the values another way."""
         match work:
             case Work(Task.IDENTIFY):
-                self.absent |= {r.name for r in work.read.registers} & {SERIES} if work.read else set()
+                self._who.refused(work)
                 return Learnt(is_ready=True) if self.is_set_up else self._set_up(now)
             case Work(Task.PROVISION, register=Register() as register):
                 return self._not_provisioned(register, refused, now)
@@ -495,17 +461,4 @@ class DriveReader:
     @property
     def described(self) -> Mapping[str, str]:
         """Return who the drive is, in words, for people."""
-        model = self.drive.model
-        told = {"vendor": "", "device": "", "version": ""}
-        if self.identity is not None:
-            told = {
-                "vendor": self.identity.vendor,
-                "device": self.identity.device,
-                "version": self.identity.version,
-            }
-        capacity = self.facts.get("capacity_code")
-        if capacity is not None:
-            told["type_form"] = model.capacities.get(capacity, f"code {capacity}")
-        if "cpu_version" in self.facts:
-            told["cpu_version"] = str(self.facts["cpu_version"])
-        return {key: value for key, value in told.items() if value}
+        return self._who.described(self.facts)
