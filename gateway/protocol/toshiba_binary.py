@@ -36,7 +36,7 @@ EVERYBODY = 0xFF
 NUMBERS = range(0x40)  # 00H to 3FH
 SINGLE = range(1, 2)
 READ_GROUPS = range(1, 6)  # data selected by F875-F879
-WRITE_GROUPS = range(1, 3)  # data selected by F870 and F871
+WRITE_GROUPS = range(1, 6)  # F870 and F871 select two; the panel's text has five, with FA80 = 1 (E6581657 7.3.1)
 WRITE_STATUS = range(4)  # a bit for each of F870 and F871 that could not be written
 PROPORTIONS = range(10001)  # 0.01 %
 DUMMY = 0x0000
