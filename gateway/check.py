@@ -115,7 +115,7 @@ def _forms(plan: DrivePlan) -> Iterator[str]:
     if has_model_block and not forms.has_block:
         number = drive.number
         better = [name for name, c in PROTOCOLS.items() if c.forms.has_block and number in c.forms.numbers]
-        yield f"    {drive.protocol} has no block: single reads instead; {' and '.join(better)} have one"
+        yield f"    {drive.protocol} has no block: single reads instead; with a block: {' or '.join(better)}"
     if drive.provision and not plan.planner.has_block:
         yield "    provision = true has no effect: there is no block to set selectors for"
 

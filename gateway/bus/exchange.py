@@ -100,12 +100,10 @@ class Exchanger:
         is_started = False
         while True:
             data = await self._line.read(deadline)
-            if not data:
-                break
-            if not is_started:
+            if data and not is_started:
                 is_started = True
                 deadline += self._timing.answer(size)
-            decoder.feed(data)
+            decoder.feed(data)  # nothing says that the line is silent
             try:
                 reply = decoder.next_reply()
             except Refused:
@@ -117,6 +115,8 @@ class Exchanger:
                 if self._is_credible(begun, sent, least if isinstance(reply, Identity) else size):
                     return reply
                 decoder = codec.decoder(request)
+            if not data:
+                break
         received = decoder.received
         if not received:
             raise NoReply(f"number {request.number}: no answer")
