@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from gateway.errors import Refused
+from gateway.protocol.codec import Answering
 from gateway.protocol.pdu import Reply
 
 LIMIT = 512  # bytes that a decoder holds at the most: two of the longest frames that MODBUS-RTU allows
@@ -33,17 +34,13 @@ class Shape:
 
 
 @dataclass(frozen=True, slots=True)
-class Answers:
-    """All that may come back for one request, and what an adapter's echo of it looks like."""
+class Dialogue:
+    """The frame of one request, and all that may come back for it; no shape begins as another does."""
 
-    echo: bytes
+    frame: bytes
+    answering: Answering
     normal: tuple[Shape, ...] = ()
     refusals: tuple[Shape, ...] = ()
-
-    @property
-    def shapes(self) -> tuple[Shape, ...]:
-        """Return all shapes, the likely ones first; no one begins as another."""
-        return self.normal + self.refusals
 
     @property
     def size(self) -> int:
@@ -53,7 +50,7 @@ class Answers:
     @property
     def least(self) -> int:
         """Return the characters of the shortest answer, a refusal included, 0 where there is none."""
-        return min((shape.size for shape in self.shapes), default=0)
+        return min((shape.size for shape in self.normal + self.refusals), default=0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,9 +71,9 @@ class AnswerDecoder:
     bytes as its request cannot be told from an echo and counts as an answer: wire time and reading back tell.
     """
 
-    def __init__(self, answers: Answers) -> None:
-        self._echo = answers.echo
-        self._shapes = answers.shapes
+    def __init__(self, dialogue: Dialogue) -> None:
+        self._echo = dialogue.frame
+        self._shapes = dialogue.normal + dialogue.refusals
         self._buffer = bytearray()
         self._at = 0  # bytes before it belong to no answer
         self._held: _Held | None = None

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from functools import partial
 
 from gateway.errors import Refusal, Refused
-from gateway.protocol.answers import AnswerDecoder, Answers, Said, Shape
+from gateway.protocol.answers import Dialogue, Said, Shape
 from gateway.protocol.checksum import crc16
 from gateway.protocol.codec import Answering, Forms, NoSuchForm
 from gateway.protocol.fields import ADDRESS, LAST_WORD, WORD, check, check_group, packed, unpacked
+from gateway.protocol.frame_codec import FrameCodec
 from gateway.protocol.pdu import (
     Exchange,
     Exchanged,
@@ -64,7 +65,7 @@ REFUSALS = {
 
 
 @dataclass(frozen=True, slots=True)
-class ModbusRtu:
+class ModbusRtu(FrameCodec):
     """The codec. `writes_by_10h`: write single words by 10H in place of 06H (E6581657 5.1.4.2)."""
 
     writes_by_10h: bool = False
@@ -72,29 +73,16 @@ class ModbusRtu:
     name = "modbus-rtu"
     forms = Forms(NUMBERS, has_direct_block=True, has_block=True, has_exchange=True, has_identification=True)
 
-    def encode(self, request: Request) -> bytes:
-        """Return the frame of a request, CRC included."""
+    def dialogue(self, request: Request) -> Dialogue:
+        """Return the frame of a request and its answers: number 0 has none, a fault reset is only refused."""
         body = bytes((self._number(request),)) + self._body(request)
-        return body + crc16(body)
-
-    def answering(self, request: Request) -> Answering:
-        """Say whether a request is answered: number 0 never is."""
+        frame = body + crc16(body)
         if isinstance(request.number, Group):
-            return Answering.NEVER
-        is_unanswered = isinstance(request, WriteRam) and not request.is_answered
-        return Answering.MAYBE if is_unanswered else Answering.ALWAYS
-
-    def answer_size(self, request: Request) -> int:
-        """Return the characters of the normal answer; of an identification, the most that is taken."""
-        return self._answers(request).size
-
-    def least_answer(self, request: Request) -> int:
-        """Return the characters of the shortest answer."""
-        return self._answers(request).least
-
-    def decoder(self, request: Request) -> AnswerDecoder:
-        """Return a decoder that waits for the reply to this request."""
-        return AnswerDecoder(self._answers(request))
+            return Dialogue(frame, Answering.NEVER)
+        refusal = Shape(_error_start(body), ERROR_SIZE, partial(_refusal, request.number))
+        if isinstance(request, WriteRam) and not request.is_answered:
+            return Dialogue(frame, Answering.MAYBE, (), (refusal,))
+        return Dialogue(frame, Answering.ALWAYS, (_normal(body, request),), (refusal,))
 
     def _number(self, request: Request) -> int:
         match request.number:
@@ -104,44 +92,35 @@ class ModbusRtu:
             case Group() as group:
                 check_group(self.name, group, self.forms.has_digit_groups)
                 if not isinstance(request, WriteRam | WriteStored | WriteBlock):
-                    raise NoSuchForm(f"{self.name}: nobody answers number 0: it is for writes, not for {request}")
+                    raise NoSuchForm(f"{self.name}: number 0 is for writes only, for nobody answers: {request}")
                 return EVERYBODY
         raise NoSuchForm(f"{self.name}: a request needs an inverter number: {request}")
 
     def _body(self, request: Request) -> bytes:
         match request:
             case ReadWords(_, address, count):
-                check(self.name, "words of a direct read", count, DIRECT_WORDS)
+                check(self.name, "count of a direct read", count, DIRECT_WORDS)
                 check(self.name, "last communication number of a read", address + count - 1, range(LAST_WORD + 1))
                 return bytes((READ,)) + packed(ADDRESS, address, count)
             case ReadBlock(_, address, count):
-                check(self.name, "words of a block read", count, BLOCK_WORDS)
+                check(self.name, "count of a block read", count, BLOCK_WORDS)
                 return bytes((READ,)) + packed(ADDRESS, address, count)
             case WriteRam(_, address, word) | WriteStored(_, address, word):
                 if self.writes_by_10h:
                     return bytes((WRITE_WORDS,)) + _counted(address, (word,))
                 return bytes((WRITE,)) + packed(ADDRESS, address) + packed(WORD, word)
             case WriteBlock(_, address, words):
-                check(self.name, "words of a block write", len(words), BLOCK_WRITE_WORDS)
+                check(self.name, "count of a block write", len(words), BLOCK_WRITE_WORDS)
                 return bytes((WRITE_WORDS,)) + _counted(address, words)
             case Exchange(_, read_address, count, address, words):
-                check(self.name, "words of a block read", count, BLOCK_WORDS)
-                check(self.name, "words of a block write", len(words), BLOCK_WRITE_WORDS)
+                check(self.name, "count of a block read", count, BLOCK_WORDS)
+                check(self.name, "count of a block write", len(words), BLOCK_WRITE_WORDS)
                 return bytes((EXCHANGE,)) + packed(ADDRESS, read_address, count) + _counted(address, words)
             case Identify(_, code):
                 check(self.name, "read code of an identification", code, READ_CODES)
                 return bytes((IDENTIFICATION, MEI_TYPE, code, 0))
             case Proportional():
-                raise NoSuchForm(f"{self.name} has no proportional command: write the frequency of each drive")
-
-    def _answers(self, request: Request) -> Answers:
-        echo = self.encode(request)
-        if self.answering(request) is Answering.NEVER:
-            return Answers(echo)
-        number, function = echo[:2]
-        refusal = Shape(bytes((number, function | ERROR_FLAG)), ERROR_SIZE, partial(_refusal, request.number))
-        normal = () if self.answering(request) is Answering.MAYBE else (_normal(echo, request),)
-        return Answers(echo, normal, (refusal,))
+                raise NoSuchForm(f"{self.name} has no proportional command: write the frequency")
 
 
 def _counted(address: int, words: tuple[int, ...]) -> bytes:
@@ -150,17 +129,22 @@ def _counted(address: int, words: tuple[int, ...]) -> bytes:
     return packed(ADDRESS, address, len(words)) + bytes((len(data),)) + data
 
 
-def _normal(echo: bytes, request: Request) -> Shape:
+def _error_start(body: bytes) -> bytes:
+    number, function = body[:2]
+    return bytes((number, function | ERROR_FLAG))
+
+
+def _normal(body: bytes, request: Request) -> Shape:
     """Return what the normal answer to a frame looks like."""
-    head = echo[:2]
+    head = body[:2]
     match request:
         case Identify():
-            return Shape(echo[:4], LONGEST_IDENTITY, _identity, _identity_size)
+            return Shape(body[:4], LONGEST_IDENTITY, _identity, _identity_size)
         case ReadWords() | ReadBlock():
             return Shape(head + bytes((2 * request.count,)), 5 + 2 * request.count, _words)
         case Exchange():
             return Shape(head + bytes((2 * request.count,)), 5 + 2 * request.count, _exchanged)
-    return Shape(echo[:6], 8, _written)  # number, function, address, and the word of 06H or the count of 10H
+    return Shape(body[:6], 8, _written)  # number, function, address, and the word of 06H or the count of 10H
 
 
 def _is_sound(frame: bytes) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from gateway.errors import Refusal, Refused
+from gateway.protocol.codec import Answering
 from gateway.protocol.pdu import Group, Target
 
 READ = b"R"
@@ -21,6 +22,11 @@ REFUSALS = {  # E6581657 4.3
     3: Refusal.COMMAND,
     4: Refusal.CHECKSUM,
 }
+
+
+def answering(target: Target) -> Answering:
+    """Say whether a request to a target is answered: for a group only where the line has its representative."""
+    return Answering.MAYBE if isinstance(target, Group) else Answering.ALWAYS
 
 
 def letters(command: bytes) -> tuple[tuple[bytes, bool], ...]:

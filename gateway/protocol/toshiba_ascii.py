@@ -12,11 +12,26 @@ from dataclasses import dataclass
 from functools import partial
 
 from gateway.protocol import toshiba
-from gateway.protocol.answers import AnswerDecoder, Answers, Said, Shape
+from gateway.protocol.answers import Dialogue, Said, Shape
 from gateway.protocol.checksum import sum8
 from gateway.protocol.codec import Answering, Forms, NoSuchForm
 from gateway.protocol.fields import ADDRESS, WORD, check, check_group, packed
-from gateway.protocol.pdu import Group, ReadWords, Request, Target, Words, WriteRam, WriteStored, Written
+from gateway.protocol.frame_codec import FrameCodec
+from gateway.protocol.pdu import (
+    Exchange,
+    Group,
+    Identify,
+    Proportional,
+    ReadBlock,
+    ReadWords,
+    Request,
+    Target,
+    Words,
+    WriteBlock,
+    WriteRam,
+    WriteStored,
+    Written,
+)
 
 START = b"("
 SUM = b"&"
@@ -31,7 +46,7 @@ ReadWord = Callable[[int, bool], Said | None]
 
 
 @dataclass(frozen=True, slots=True)
-class ToshibaAscii:
+class ToshibaAscii(FrameCodec):
     """The codec, with or without the omissible parts; an answer has those that its request had."""
 
     has_checksum: bool = True
@@ -40,26 +55,18 @@ class ToshibaAscii:
     name = "toshiba-ascii"
     forms = Forms(NUMBERS, has_ram_write=True, has_digit_groups=True, says_tripped=True)
 
-    def encode(self, request: Request) -> bytes:
-        """Return the frame of a request."""
-        return self._closed(START + self._number(request.number) + self._command(request))
-
-    def answering(self, request: Request) -> Answering:
-        """Say whether a request is answered: for a group only by the drive with 0 in the place of `*`."""
-        is_unanswered = isinstance(request, WriteRam) and not request.is_answered
-        return Answering.MAYBE if is_unanswered or isinstance(request.number, Group) else Answering.ALWAYS
-
-    def answer_size(self, request: Request) -> int:
-        """Return the characters of the normal answer."""
-        return self._answers(request).size
-
-    def least_answer(self, request: Request) -> int:
-        """Return the characters of the shortest answer."""
-        return self._answers(request).least
-
-    def decoder(self, request: Request) -> AnswerDecoder:
-        """Return a decoder that waits for the reply to this request."""
-        return AnswerDecoder(self._answers(request))
+    def dialogue(self, request: Request) -> Dialogue:
+        """Return the frame of a request and its answers: of a group the drive with 0 in the place of `*` answers."""
+        command = self._command(request)
+        frame = self._closed(START + self._number(request.number) + command)
+        number = toshiba.answerer(request.number)
+        head = START if number is None else START + b"%02d" % number
+        refusals = tuple(self._shapes(head, toshiba.REFUSAL, DIGITS, partial(_refusal, request.number)))
+        if isinstance(request, WriteRam) and not request.is_answered:
+            return Dialogue(frame, Answering.MAYBE, (), refusals)
+        is_read = isinstance(request, ReadWords)
+        normal = self._shapes(head, command, DIGITS if is_read else 0, _words if is_read else _written)
+        return Dialogue(frame, toshiba.answering(request.number), tuple(normal), refusals)
 
     def _closed(self, text: bytes) -> bytes:
         """Return a text with its checksum, stop code and carriage return."""
@@ -80,28 +87,18 @@ class ToshibaAscii:
     def _command(self, request: Request) -> bytes:
         match request:
             case ReadWords(_, address, count):
-                check(self.name, "words read by one R", count, SINGLE)
+                check(self.name, "count of a read", count, SINGLE)
                 return toshiba.READ + _digits(ADDRESS, address)
             case WriteRam(_, address, word):
                 return toshiba.WRITE_RAM + _digits(ADDRESS, address) + _digits(WORD, word)
             case WriteStored(_, address, word):
                 return toshiba.WRITE_STORED + _digits(ADDRESS, address) + _digits(WORD, word)
-        raise NoSuchForm(f"{self.name} has no frame for {request}")
-
-    def _answers(self, request: Request) -> Answers:
-        echo = self.encode(request)
-        number = toshiba.answerer(request.number)
-        head = START if number is None else START + b"%02d" % number
-        refusals = self._shapes(head, toshiba.REFUSAL, DIGITS, partial(_refusal, request.number))
-        return Answers(echo, tuple(self._normal(head, request)), tuple(refusals))
-
-    def _normal(self, head: bytes, request: Request) -> Iterable[Shape]:
-        match request:
-            case WriteRam(is_answered=False):
-                return ()
-            case ReadWords():
-                return self._shapes(head, self._command(request), DIGITS, _words)
-        return self._shapes(head, self._command(request), 0, _written)
+            case ReadBlock() | WriteBlock() | Exchange():
+                raise NoSuchForm(f"{self.name} has no block: read and write its words one by one")
+            case Identify():
+                raise NoSuchForm(f"{self.name} has no identification: read the registers that tell the type")
+            case Proportional():
+                raise NoSuchForm(f"{self.name} has no proportional command: write the frequency")
 
     def _shapes(self, head: bytes, text: bytes, digits: int, read: ReadWord) -> Iterable[Shape]:
         """Return the answers with a text in upper and lower case of its command, and that many digits behind it."""

@@ -11,14 +11,16 @@ from dataclasses import dataclass
 from functools import partial
 
 from gateway.protocol import toshiba
-from gateway.protocol.answers import AnswerDecoder, Answers, Said, Shape
+from gateway.protocol.answers import Dialogue, Said, Shape
 from gateway.protocol.checksum import sum8
 from gateway.protocol.codec import Answering, Forms, NoSuchForm
 from gateway.protocol.fields import ADDRESS, WORD, check, check_group, packed, unpacked
+from gateway.protocol.frame_codec import FrameCodec
 from gateway.protocol.pdu import (
     Exchange,
     Exchanged,
     Group,
+    Identify,
     Proportional,
     ReadBlock,
     ReadWords,
@@ -36,16 +38,16 @@ EVERYBODY = 0xFF
 NUMBERS = range(0x40)  # 00H to 3FH
 SINGLE = range(1, 2)
 READ_GROUPS = range(1, 6)  # data selected by F875-F879
-WRITE_GROUPS = range(1, 6)  # F870 and F871 select two; the panel's text has five, with FA80 = 1 (E6581657 7.3.1)
+WRITE_GROUPS = range(1, 6)  # two that F870 and F871 select; with FA80 = 1 the five of the panel's text (7.3.1)
 WRITE_STATUS = range(4)  # a bit for each of F870 and F871 that could not be written
 PROPORTIONS = range(10001)  # 0.01 %
-DUMMY = 0x0000
+DUMMY = b"\x00\x00"  # data of G
 
 ReadField = Callable[[bytes, bool], Said | None]
 
 
 @dataclass(frozen=True, slots=True)
-class ToshibaBinary:
+class ToshibaBinary(FrameCodec):
     """The codec. `reads_by_g`: read by G, which two-wire lines of older models need (E6581657 4.2)."""
 
     reads_by_g: bool = False
@@ -55,31 +57,19 @@ class ToshibaBinary:
         NUMBERS, has_block=True, has_exchange=True, has_ram_write=True, has_proportional=True, says_tripped=True
     )
 
-    def encode(self, request: Request) -> bytes:
-        """Return the frame of a request, checksum included."""
-        body = START + self._number(request.number) + self._command(request)
-        return body + bytes((sum8(body),))
-
-    def answering(self, request: Request) -> Answering:
-        """Say whether a request is answered: for a group only by the drive numbered 00."""
-        match request:
-            case Proportional():
-                return Answering.NEVER
-            case WriteRam(is_answered=False):
-                return Answering.MAYBE
-        return Answering.MAYBE if isinstance(request.number, Group) else Answering.ALWAYS
-
-    def answer_size(self, request: Request) -> int:
-        """Return the characters of the normal answer."""
-        return self._answers(request).size
-
-    def least_answer(self, request: Request) -> int:
-        """Return the characters of the shortest answer."""
-        return self._answers(request).least
-
-    def decoder(self, request: Request) -> AnswerDecoder:
-        """Return a decoder that waits for the reply to this request."""
-        return AnswerDecoder(self._answers(request))
+    def dialogue(self, request: Request) -> Dialogue:
+        """Return the frame of a request and its answers: of all drives the one numbered 00 answers, and none to S."""
+        command = self._command(request)
+        body = START + self._number(request.number) + command
+        frame = body + bytes((sum8(body),))
+        if isinstance(request, Proportional):
+            return Dialogue(frame, Answering.NEVER)
+        number = toshiba.answerer(request.number)
+        head = START if number is None else START + bytes((number,))
+        refusals = tuple(_shapes(head, toshiba.REFUSAL, b"", 2, partial(_refusal, request.number)))
+        if isinstance(request, WriteRam) and not request.is_answered:
+            return Dialogue(frame, Answering.MAYBE, (), refusals)
+        return Dialogue(frame, toshiba.answering(request.number), tuple(_normal(head, request, command)), refusals)
 
     def _number(self, target: Target) -> bytes:
         if target is None:
@@ -93,63 +83,48 @@ class ToshibaBinary:
     def _command(self, request: Request) -> bytes:
         match request:
             case ReadWords(_, address, count):
-                check(self.name, "words read by one R", count, SINGLE)
-                dummy = packed(WORD, DUMMY) if self.reads_by_g else b""
-                return self._read_command + packed(ADDRESS, address) + dummy
+                check(self.name, "count of a read", count, SINGLE)
+                command, dummy = (toshiba.READ_TWO_WIRE, DUMMY) if self.reads_by_g else (toshiba.READ, b"")
+                return command + packed(ADDRESS, address) + dummy
             case WriteRam(_, address, word):
                 return toshiba.WRITE_RAM + packed(ADDRESS, address) + packed(WORD, word)
             case WriteStored(_, address, word):
                 return toshiba.WRITE_STORED + packed(ADDRESS, address) + packed(WORD, word)
             case ReadBlock(_, _, count):
-                return self._block((), count)
+                return toshiba.BLOCK + bytes((0, self._read_groups(count)))
             case WriteBlock(_, _, words):
-                check(self.name, "words written by one X", len(words), WRITE_GROUPS)
-                return self._block(words, 0)
+                return toshiba.BLOCK + bytes((self._write_groups(words), 0)) + packed(WORD, *words)
             case Exchange(_, _, count, _, words):
-                check(self.name, "words written by one X", len(words), WRITE_GROUPS)
-                return self._block(words, count)
+                groups = bytes((self._write_groups(words), self._read_groups(count)))
+                return toshiba.BLOCK + groups + packed(WORD, *words)
             case Proportional(_, address, word, is_master_tripped):
                 check(self.name, "proportion in 0.01 %", word, PROPORTIONS)
                 command = toshiba.PROPORTIONAL.lower() if is_master_tripped else toshiba.PROPORTIONAL
-                return command + packed(ADDRESS, address, word)
-        raise NoSuchForm(f"{self.name} has no frame for {request}")
+                return command + packed(ADDRESS, address) + packed(WORD, word)
+            case Identify():
+                raise NoSuchForm(f"{self.name} has no identification: read the registers that tell the type")
 
-    @property
-    def _read_command(self) -> bytes:
-        return toshiba.READ_TWO_WIRE if self.reads_by_g else toshiba.READ
+    def _read_groups(self, count: int) -> int:
+        check(self.name, "count of a block read", count, READ_GROUPS)
+        return count
 
-    def _block(self, words: tuple[int, ...], count: int) -> bytes:
-        """Return X with its write and read groups (E6581657 4.1.3)."""
-        if count:
-            check(self.name, "words read by one X", count, READ_GROUPS)
-        return toshiba.BLOCK + bytes((len(words), count)) + packed(WORD, *words)
+    def _write_groups(self, words: tuple[int, ...]) -> int:
+        check(self.name, "count of a block write", len(words), WRITE_GROUPS)
+        return len(words)
 
-    def _answers(self, request: Request) -> Answers:
-        echo = self.encode(request)
-        if self.answering(request) is Answering.NEVER:
-            return Answers(echo)
-        number = toshiba.answerer(request.number)
-        head = START if number is None else START + bytes((number,))
-        refusals = _shapes(head, toshiba.REFUSAL, b"", 2, partial(_refusal, request.number))
-        return Answers(echo, tuple(self._normal(head, request)), tuple(refusals))
 
-    def _normal(self, head: bytes, request: Request) -> Iterable[Shape]:
-        match request:
-            case ReadWords(_, address):
-                return _shapes(head, self._read_command, packed(ADDRESS, address), 2, _words)
-            case WriteRam(_, _, _, False):
-                return ()
-            case WriteRam(_, address, word):
-                return _shapes(head, toshiba.WRITE_RAM, packed(WORD, address, word), 0, _written)
-            case WriteStored(_, address, word):
-                return _shapes(head, toshiba.WRITE_STORED, packed(WORD, address, word), 0, _written)
-            case ReadBlock(_, _, count):
-                return _block_shapes(head, count, _block_read)
-            case WriteBlock(_, _, words):
-                return _block_shapes(head, 0, partial(_block_written, len(words)))
-            case Exchange(_, _, count, _, words):
-                return _block_shapes(head, count, partial(_exchanged, len(words)))
-        raise NoSuchForm(f"{self.name} has no answer to {request}")
+def _normal(head: bytes, request: Request, command: bytes) -> Iterable[Shape]:
+    """Return what the normal answers to a command look like."""
+    match request:
+        case ReadWords():
+            return _shapes(head, command[:1], command[1:3], 2, _words)
+        case ReadBlock(_, _, count):
+            return _block_shapes(head, count, _block_read)
+        case WriteBlock(_, _, words):
+            return _block_shapes(head, 0, partial(_block_written, len(words)))
+        case Exchange(_, _, count, _, words):
+            return _block_shapes(head, count, partial(_exchanged, len(words)))
+    return _shapes(head, command[:1], command[1:], 0, _written)
 
 
 def _shapes(head: bytes, command: bytes, fixed: bytes, data: int, read: ReadField) -> Iterable[Shape]:
