@@ -5,6 +5,7 @@ Pure: it is told what was answered or refused, and says what was learnt and what
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
@@ -35,6 +36,7 @@ FIRST_WITHIN = 0.5  # seconds after a drive is ready, for values that are read s
 RECHECK_EVERY = 60.0  # seconds between two looks at F875-F879, which somebody may change at the panel
 RECHECK_SOON = 5.0  # the same while a reset is awaited, or while the block carries the display's text
 BLOCK_MODE = "block_mode"  # FA80: 1 makes the block carry the display's text (E6581657 7.3.1)
+REFUSALS = 2  # in a row, before a value is given up
 DISPLAY_NOTE = "FA80 is 1: the block carries the display's text; it is not used"
 TRIP_REGISTERS = ("trip_code", "status")  # FC90, FD01: what is read at once when a drive trips or no longer does
 
@@ -60,6 +62,7 @@ class DriveReader:
         self._before: BlockMapping | None = None  # what was in force before the selectors were provisioned
         self._may_be_text: tuple[int, ...] = ()  # the last block that looked like the display's text
         self._is_no_text: tuple[int, ...] = ()  # the last of those that was found not to be
+        self._refusals: Counter[str] = Counter()
         self._control = Control(drive, planner)
 
     # ---- who is there
@@ -136,6 +139,7 @@ class DriveReader:
         self._who = Identification(self.drive)
         self.able = Abilities()
         self.absent.clear()
+        self._refusals.clear()
         self._audit = None
 
     # ---- how it is set
@@ -348,6 +352,8 @@ class DriveReader:
             learnt = self._set_up(now)
             learnt.warnings.append("the block no longer carries what it did: the drive was reset or set anew")
             return learnt
+        if self._refusals:
+            self._refusals -= Counter(register.name for register in read.registers)
         untrusted = self._untrusted(read, words)
         values = [pair for pair in read.values(words) if pair[0] not in {r.address for r in untrusted}]
         once = [Work(Task.CONFIRM, r.request, r) for r in map(self._alone, untrusted)]
@@ -442,10 +448,16 @@ class DriveReader:
             case Work(request=ReadWords(count=count)) if count > 1:
                 return Learnt(notes=[self._no_direct(work.request, refused)], jobs=self.polls(now))
             case Work(Task.POLL, read=PlannedRead() as read) if refused.reason is not Refusal.UNABLE:
-                name = read.registers[0].name
-                self.absent.add(name)
-                return Learnt(jobs=self.polls(now), warnings=[f"{name}: {refused}; it is not read any more"])
+                return self._poll_refused(read.registers[0].name, refused, now)
         return Learnt()
+
+    def _poll_refused(self, name: str, refused: Refused, now: float) -> Learnt:
+        """Give a value up once it was refused twice in a row: the first may be a request damaged on its way."""
+        self._refusals[name] += 1
+        if self._refusals[name] < REFUSALS:
+            return Learnt()
+        self.absent.add(name)
+        return Learnt(jobs=self.polls(now), warnings=[f"{name}: {refused}; it is not read any more"])
 
     def _fact_refused(self, read: PlannedRead, refused: Refused, now: float) -> Learnt:
         if read.is_direct_block:

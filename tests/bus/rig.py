@@ -75,6 +75,7 @@ def bench(
     polls: Any = None,
     line: dict[str, Any] | None = None,
     drive: dict[str, Any] | None = None,
+    protocols: dict[int, str] | None = None,
     **sim: Any,
 ) -> Bench:
     """Build a line of drives d1, d2 ... and their simulation; to be called in the running loop."""
@@ -84,6 +85,7 @@ def bench(
             "number": entry["number"],
             "model": entry.get("configured", entry["model"]),
             "poll": polls or [{"values": FIVE, "every": "100ms"}],
+            "protocol": (protocols or {}).get(entry["number"], "modbus-rtu"),
             **(drive or {}),
         }
         for entry in simulated
