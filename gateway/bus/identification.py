@@ -64,9 +64,12 @@ class Identification:
         return ""
 
     def is_other_series(self, register: Register, word: int) -> str:
-        """Say why the word of a plain read is not of the model configured, "" where it may be."""
+        """Say why the word of a plain read is not of the model configured, "" where it may be.
+
+        The manual prints the code without saying whether it is hexadecimal; 0 says nothing.
+        """
         model = self.drive.model
-        if register.name != SERIES or word == model.series_code:
+        if register.name != SERIES or word in (0, model.series_code, int(str(model.series_code), 16)):
             return ""
         return f"identity mismatch: {model.name} has series code {model.series_code}, {word} answers"
 
