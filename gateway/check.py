@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from gateway.bus import selectors
+from gateway.bus import groups, selectors
 from gateway.bus.blocks import Abilities, PlannedRead, Planner
 from gateway.bus.reader import DriveReader
 from gateway.protocol.pdu import ReadBlock
@@ -62,6 +62,11 @@ def _line(line: Line) -> Iterator[str]:
     yield from _advice(shipped, best)
     for plan in best:
         yield from _drive(plan)
+    for group in line.groups:
+        members = [drive for drive in line.drives if drive.name in group.drives]
+        frames = groups.reach(members, line.drives)
+        yield f"  group {group.name}: written by {len(frames)} {'frame' if len(frames) == 1 else 'frames'}"
+        yield from (f"    {frame}" for frame in frames)
 
 
 def _load(plans: Sequence[DrivePlan]) -> str:

@@ -64,3 +64,30 @@ def test_a_value_that_a_faster_block_brings_is_not_read_twice() -> None:
     (_, slow) = plan.groups
     assert [r.name for read in slow[1] for r in read.registers] == ["trip_code"]
     assert "status: come with a faster block" in text(configured)
+
+
+def toshiba(protocol: str, **more: Any) -> site.Site:
+    """Return a line of three VF-nC3 with the numbers 11, 12 and 21 in a TOSHIBA protocol, two of them a group."""
+    entries = [
+        {"name": f"d{n}", "number": n, "model": "vf-nc3", "protocol": protocol, **more} for n in (11, 12, 21)
+    ]
+    group = {"name": "fans", "drives": ["d11", "d12"]}
+    line = {"name": "a", "port": "/dev/ttyUSB0", "drive": entries, "group": [group]}
+    return site.build({"gateway": {"name": "g"}, "line": [line]}, "test", Path())
+
+
+def test_what_a_protocol_has_not_got_is_said() -> None:
+    """ASCII has no block, so provisioning has no effect; binary has it, and the gateway may set it."""
+    said = text(toshiba("toshiba-ascii", provision=True))
+    assert "toshiba-ascii has no block: single reads instead; with a block: modbus-rtu or toshiba-binary" in said
+    assert "provision = true has no effect" in said
+    said = text(toshiba("toshiba-binary", provision=True))
+    assert "has no block" not in said
+    assert "set once by the gateway (EEPROM), then reset the drive: F875=1" in said
+
+
+def test_the_frames_that_reach_a_group_are_said() -> None:
+    """A digit in ASCII, which drives hear that are read in binary."""
+    for protocol in ("toshiba-ascii", "toshiba-binary"):
+        said = text(toshiba(protocol))
+        assert "group fans: written by 1 frame\n    1* (toshiba-ascii): d11, d12; nobody answers" in said

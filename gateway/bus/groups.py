@@ -10,6 +10,7 @@ from gateway.protocol.registry import PROTOCOLS
 from gateway.site import Drive
 
 MODBUS = "modbus-rtu"
+DIGITS = "toshiba-ascii"  # the mode that addresses drives by one digit
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +47,9 @@ def family(protocol: str) -> str:
 def reach(members: Sequence[Drive], on_line: Sequence[Drive], protocol: str = "") -> tuple[Reach, ...]:
     """Return the frames that reach the members, all of them and no other configured drive, each once.
 
-    `on_line` are all drives of the line. Frames are of the protocols that the members are configured with,
-    or of `protocol` where it is given; the narrowest group that fits is taken.
+    `on_line` are all drives of the line. Frames are of the protocols that the members are configured with, or
+    of `protocol` where it is given; ASCII reaches a digit's drives though they are configured with binary, for
+    they hear both. The narrowest group that fits is taken.
     """
     found: list[Reach] = []
     for name in dict.fromkeys(family(drive.protocol) for drive in members):
@@ -64,7 +66,9 @@ def reach(members: Sequence[Drive], on_line: Sequence[Drive], protocol: str = ""
 def _together(members: Sequence[Drive], on_line: Sequence[Drive], protocol: str) -> Iterator[Reach]:
     """Yield the group frames that reach exactly these members among the drives that can hear them."""
     wanted = {drive.name for drive in members}
-    for name in (protocol,) if protocol else dict.fromkeys(drive.protocol for drive in members):
+    configured = [drive.protocol for drive in members]
+    both = [DIGITS] if MODBUS not in configured else []
+    for name in (protocol,) if protocol else dict.fromkeys([*configured, *both]):
         forms = PROTOCOLS[name].forms
         if any(drive.number not in forms.numbers for drive in members):
             continue

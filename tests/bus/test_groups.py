@@ -50,7 +50,7 @@ def test_one_by_one_where_no_frame_reaches_exactly_the_group() -> None:
     """In the order of the group."""
     line = drives(ASCII, 1, 2, 3)
     assert targets(drives(ASCII, 3, 1), line) == [3, 1]
-    assert targets(drives(BINARY, 10, 12), drives(BINARY, 10, 12, 20)) == [10, 12]
+    assert targets(drives(BINARY, 10, 21), drives(BINARY, 10, 20, 21)) == [10, 21]
     assert targets(drives(MODBUS, 1, 2), drives(MODBUS, 1, 2, 3)) == [1, 2]
 
 
@@ -59,6 +59,14 @@ def test_binary_and_modbus_know_all_drives_only() -> None:
     for protocol in (BINARY, MODBUS):
         line = drives(protocol, 11, 12)
         assert targets(line, line) == [EVERY_DRIVE]
+
+
+def test_drives_that_are_read_in_binary_are_reached_by_a_digit_in_ascii() -> None:
+    """TOSHIBA drives hear both; not where binary was asked for."""
+    line = drives(BINARY, 10, 12, 20)
+    (frame,) = reach(drives(BINARY, 10, 12), line)
+    assert (frame.protocol, frame.target, frame.representative) == (ASCII, Group(tens=1), drive(10, BINARY))
+    assert [frame.target for frame in reach(drives(BINARY, 10, 12), line, BINARY)] == [10, 12]
 
 
 def test_one_drive_is_addressed_by_its_number() -> None:
