@@ -1,4 +1,4 @@
-"""The command line: run, check, map, schema, registers, simulate, demo."""
+"""The command line: run, check, map, schema, registers, simulate, demo; scan, read, write and their like."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ import typer
 from gateway import __version__, check, logs, site
 from gateway import demo as demonstration
 from gateway.app import App, CoreTaskEnded
+from gateway.commissioning import commands as commissioning
 from gateway.config import Config
 from gateway.drives import catalogue
-from gateway.errors import BadConfig, GatewayError
+from gateway.errors import BadConfig, GatewayError, Refused
 from gateway.modbus_tcp import mapping
 from gateway.mqtt import topics
 from gateway.sim import runner, settings
@@ -47,8 +48,10 @@ def run_command() -> None:
     """Run the command line; what the gateway can explain is explained in a line, never with a traceback."""
     try:
         app()
-    except BadConfig as error:
+    except commissioning.WRONG_CALLS as error:
         _fail(error, EXIT_CONFIG)
+    except Refused as error:
+        _fail(error, commissioning.EXIT_NOT_DONE)
     except CoreTaskEnded as error:
         _fail(error, EXIT_SOFTWARE)
     except GatewayError as error:
@@ -179,3 +182,6 @@ def demo(
 ) -> None:
     """Show the main job without hardware: simulated drives, a broker, the gateway, and a live view."""
     demonstration.run(demonstration.Ports(mqtt_port, modbus_tcp_port, web_port), seconds)
+
+
+commissioning.add_to(app)

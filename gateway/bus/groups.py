@@ -31,12 +31,23 @@ class Reach:
         """Say whether one frame is for several drives."""
         return isinstance(self.target, Group)
 
-    def __str__(self) -> str:
-        names = ", ".join(drive.name for drive in self.drives)
+    @property
+    def address(self) -> str:
+        """Spell the address as it stands in the frame: ** or 1* or *2, FFH, 0 for groups; a number for one drive."""
         if not self.is_group:
-            return f"number {self.target} ({self.protocol}): {names}"
+            return f"number {self.target}"
+        if self.protocol == MODBUS:
+            return "0"
+        return str(self.target) if PROTOCOLS[self.protocol].forms.has_digit_groups else "FFH"
+
+    @property
+    def names(self) -> str:
+        """Name the drives."""
+        return ", ".join(drive.name for drive in self.drives)
+
+    def __str__(self) -> str:
         answers = f"; {self.representative.name} answers" if self.representative else "; nobody answers"
-        return f"{_address(self)} ({self.protocol}): {names}{answers}"
+        return f"{self.address} ({self.protocol}): {self.names}{answers if self.is_group else ''}"
 
 
 def family(protocol: str) -> str:
@@ -88,10 +99,3 @@ def _groups(members: Sequence[Drive], *, has_digits: bool) -> Iterator[Group]:
     if has_digits and len(ones) == 1:
         yield Group(ones=ones.pop())
     yield EVERY_DRIVE
-
-
-def _address(to: Reach) -> str:
-    """Spell a group's address as it stands in the frame: ** or 1* or *2, FFH, 0."""
-    if to.protocol == MODBUS:
-        return "0"
-    return str(to.target) if PROTOCOLS[to.protocol].forms.has_digit_groups else "FFH"

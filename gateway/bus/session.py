@@ -1,0 +1,210 @@
+"""A line used by hand for a while: exchanges one after another, reads that are retried, writes that are read back."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+
+from gateway import site
+from gateway.bus.exchange import Exchanger
+from gateway.bus.identification import SERIES, Identification
+from gateway.bus.line import Line
+from gateway.bus.serial_line import open_line
+from gateway.bus.worker import LATE_AT_MOST, SETTLE, Opener
+from gateway.bus.writes import PlannedWrite, Verdict, judge
+from gateway.clock import Clock
+from gateway.drives.notation import label
+from gateway.drives.register import Register
+from gateway.errors import BadConfig, BadReply, NoReply, Refusal, Refused
+from gateway.metrics import LineStats
+from gateway.protocol.codec import Codec
+from gateway.protocol.pdu import Identify, Identity, ReadWords, Reply, Request, Words
+from gateway.site import Drive
+
+READ_TRIES = 3  # a read may be repeated; a write without an answer may have been done, and never is
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of a write: the words of its register before and after, None where the drive did not say."""
+
+    drive: Drive
+    write: PlannedWrite
+    verdict: Verdict
+    old: int | None
+    new: int | None
+    note: str = ""
+
+
+@asynccontextmanager
+async def opened(line: site.Line, clock: Clock, opener: Opener = open_line) -> AsyncIterator[Session]:
+    """Open a line for a session, and close it whatever happens; LineDown says why it cannot be opened."""
+    port = await opener(line, clock)
+    try:
+        await port.drain(SETTLE, 2 * SETTLE)
+        yield Session(line, port, clock)
+    finally:
+        port.close()
+
+
+class Session:
+    """Talks to the drives of one open line."""
+
+    def __init__(self, line: site.Line, port: Line, clock: Clock) -> None:
+        self.line = line
+        self._port = port
+        self._clock = clock
+        self._exchanger = Exchanger(port, line.timing, line.margin, clock, LineStats())
+
+    # ---- exchanges
+
+    async def ask(self, drive: Drive, request: Request) -> Reply:
+        """Ask a drive, again where it is silent or not understood; NoReply, BadReply and Refused pass through."""
+        for _ in range(READ_TRIES - 1):
+            try:
+                return await self._answer(drive, request)
+            except (NoReply, BadReply):
+                await self._let_late_answers_pass()
+        return await self._answer(drive, request)
+
+    async def _answer(self, drive: Drive, request: Request) -> Reply:
+        answered = await self._exchanger.exchange(drive.codec, request, processing_time(drive))
+        if answered.reply is None:
+            raise NoReply(f"{drive.name}: no answer")
+        return answered.reply
+
+    async def send(self, codec: Codec, request: Request, processing: float) -> Reply | None:
+        """Send a request once. None: nobody needs to answer it. NoReply, BadReply: it may have been done."""
+        try:
+            return (await self._exchanger.exchange(codec, request, processing)).reply
+        except (NoReply, BadReply):
+            await self._let_late_answers_pass()
+            raise
+
+    async def _let_late_answers_pass(self) -> None:
+        """Wait until an answer that comes too late cannot be taken for the next one's (SAFETY.md H16)."""
+        late = max(LATE_AT_MOST, 2 * self.line.margin)
+        await self._port.drain(late, 2 * late)
+
+    async def pause(self, seconds: float) -> None:
+        """Let the line rest."""
+        alarm = self._clock.alarm()
+        try:
+            await alarm.wait_until(self._clock.now() + seconds)
+        finally:
+            alarm.close()
+
+    # ---- reading
+
+    async def read(self, drive: Drive, register: Register) -> int:
+        """Read the raw word of a register."""
+        reply = await self.ask(drive, ReadWords(drive.number, register.address))
+        if not isinstance(reply, Words):
+            raise BadReply(f"{drive.name}: {label(register)}: {reply} is no value")
+        return reply.words[0]
+
+    async def read_if_possible(self, drive: Drive, register: Register) -> int | None:
+        """Read a register; None where the drive is silent or does not let it be read."""
+        try:
+            return await self.read(drive, register)
+        except (NoReply, BadReply, Refused):
+            return None
+
+    async def identify(self, drive: Drive) -> Identity | None:
+        """Ask a drive who it is; None where its protocol, or the drive itself, has no identification."""
+        if not drive.codec.forms.has_identification:
+            return None
+        try:
+            reply = await self.ask(drive, Identify(drive.number))
+        except Refused:
+            return None
+        return reply if isinstance(reply, Identity) else None
+
+    async def check_model(self, drive: Drive) -> None:
+        """See that the drive is of the model that it is said to be, as far as it tells; BadConfig where it is not."""
+        who = Identification(drive)
+        identity = await self.identify(drive)
+        wrong = who.is_stranger(identity) if identity is not None else await self._is_other_series(who)
+        if wrong:
+            raise BadConfig(f"{drive.name}: {wrong}")
+
+    async def _is_other_series(self, who: Identification) -> str:
+        """Say why the drive is of another series than its model, "" where it does not tell."""
+        series = who.drive.model.registers.get(SERIES)
+        if series is None or who.drive.model.series_code is None:
+            return ""
+        try:
+            return who.is_other_series(series, await self.read(who.drive, series))
+        except Refused:
+            return ""
+
+    # ---- writing
+
+    async def write(self, drive: Drive, write: PlannedWrite, *, again: bool = False) -> Outcome:
+        """Write one word and read it back.
+
+        A write to the EEPROM of what the register reads already is not made, unless `again`.
+        NoReply: the drive was silent before anything was written.
+        """
+        if not write.is_answered:
+            return await self._reset(drive, write)
+        old = await self._before(drive, write)
+        if old is not None and write.wears_eeprom and write.reads_back(old) and not again:
+            return Outcome(drive, write, Verdict.EQUAL, old, old)
+        note, is_refused = await self._write_once(drive, write)
+        new = await self.read_if_possible(drive, write.register)
+        return Outcome(drive, write, judge(write, new, is_refused=is_refused), old, new, note)
+
+    async def _before(self, drive: Drive, write: PlannedWrite) -> int | None:
+        """Read what a register holds; None where it can be written but not read."""
+        try:
+            return await self.read(drive, write.register)
+        except Refused as refused:
+            if refused.reason is Refusal.ADDRESS:
+                return None
+            raise
+
+    async def _write_once(self, drive: Drive, write: PlannedWrite) -> tuple[str, bool]:
+        """Send a write; return what is to be said of it, and whether it was refused."""
+        try:
+            await self.send(drive.codec, write.request, writing_time(drive, write))
+        except Refused as refused:
+            return refused.reason.value, True
+        except (NoReply, BadReply) as error:
+            return f"not acknowledged ({error})", False
+        return "", False
+
+    async def _reset(self, drive: Drive, write: PlannedWrite) -> Outcome:
+        """Reset a fault: the drive obeys without an answer, is deaf for a second, and its status tells (7.1)."""
+        await self.send(drive.codec, write.request, processing_time(drive))
+        await self.pause(drive.model.times.start_up)
+        return await self.after_reset(drive, write)
+
+    async def after_reset(self, drive: Drive, write: PlannedWrite) -> Outcome:
+        """Judge a fault reset by the status of the drive: it is not tripped any more."""
+        register = drive.model.registers.get("status")
+        status = None if register is None else await self.read_if_possible(drive, register)
+        if register is None or status is None:
+            return Outcome(drive, write, Verdict.UNKNOWN, None, None, "the drive does not say whether it is tripped")
+        states = register.text(status) or ""
+        if "tripped" not in states.split(", "):
+            note = f"not tripped; {label(register)}: {states or 'none'}"
+            return Outcome(drive, write, Verdict.DONE, None, None, note)
+        return Outcome(drive, write, Verdict.NOT_DONE, None, None, f"still tripped{await self._trip(drive)}")
+
+    async def _trip(self, drive: Drive) -> str:
+        register = drive.model.registers.get("trip_code")
+        code = None if register is None else await self.read_if_possible(drive, register)
+        return f", {register.text(code)}" if register is not None and code is not None else ""
+
+
+def processing_time(drive: Drive) -> float:
+    """Return how long a drive may take to answer, in seconds."""
+    return drive.model.times.processing + drive.wait_time
+
+
+def writing_time(drive: Drive, write: PlannedWrite) -> float:
+    """Return how long a drive may take to acknowledge a write, in seconds: longer where it writes its EEPROM."""
+    times = drive.model.times
+    return (times.eeprom if write.wears_eeprom else times.processing) + drive.wait_time
