@@ -67,6 +67,7 @@ class Condition:
     past_trips: tuple[int, ...] = (0,) * HISTORY
     alarm: int = 0  # FC91, set from outside
     is_timed_out: bool = False  # F803 ran out, and no message was acknowledged since
+    is_master_tripped: bool = False  # the master's last word was s (VF-MB1 RS485 6)
     is_speed_commanded: bool = False  # FA13 was written after FA01
     version: int = 100  # FE08 and the version that 2BH answers
     time: float = 0.0

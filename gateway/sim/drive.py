@@ -5,10 +5,10 @@ from __future__ import annotations
 from random import Random
 
 from gateway.drives.model import Model
-from gateway.sim import modbus
+from gateway.sim import frames
 from gateway.sim.access import RegisterAccess
 from gateway.sim.inverter import Inverter
-from gateway.sim.options import MODBUS_RTU, DriveOptions
+from gateway.sim.options import PROTOCOLS, DriveOptions
 
 BAUD_CODES = {9600: 3, 19200: 4, 38400: 5}  # F800
 PARITY_CODES = {"none": 0, "even": 1, "odd": 2}  # F801
@@ -50,13 +50,13 @@ class SimulatedDrive:
         """Take a frame whose end was recognised now; return the answer, or None, and the seconds until it begins."""
         self.tick(now)
         self.frames_heard += now >= self.inverter.deaf_until
-        if now < self.inverter.deaf_until or self._protocol != MODBUS_RTU:
+        if now < self.inverter.deaf_until:
             return None, 0.0
         self.registers.begin()
-        answer = modbus.answer(frame, self.number, self.registers)
+        answer = frames.answer(self.protocol, frame, self.number, self.registers)
         if self.registers.was_reset:  # FA00 bit 13 returns no data (E6581657 7.1)
             return None, 0.0
-        if answer is not None:
+        if answer is not None or (self.registers.was_proportional and self._counts_proportional):
             self._acknowledge(now)
         return answer, self._answer_time()
 
@@ -68,12 +68,16 @@ class SimulatedDrive:
             self.inverter.acknowledge(now)
 
     @property
-    def _protocol(self) -> int:
-        """Return F829 in force; a model whose codes are not known is taken to speak MODBUS-RTU."""
+    def protocol(self) -> int:
+        """Return F829 in force; a model whose codes for it are not known speaks what its options say."""
         memory, name = self.inverter.memory, self.inverter.role("protocol")
         if not memory.has(name) or not memory.named(name).is_writable:
-            return MODBUS_RTU
+            return PROTOCOLS[self.inverter.options.protocol]
         return memory.word_in_force(name)
+
+    @property
+    def _counts_proportional(self) -> bool:
+        return self.inverter.options.proportional_restarts_timer
 
     def _answer_time(self) -> float:
         """Return the processing time, or F805 where that is longer (6.5)."""

@@ -163,7 +163,7 @@ class Inverter:
         condition.motor.cut()
         condition.panel.is_running = condition.panel.is_reverse = False
         condition.trip_code = TripCode.NONE
-        condition.is_speed_commanded = False
+        condition.is_speed_commanded = condition.is_master_tripped = False
         condition.overload = 0.0
         self._held = {}
         self._stops_to_trip = False

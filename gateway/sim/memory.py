@@ -8,7 +8,7 @@ from enum import Enum
 from gateway.drives.model import Model
 from gateway.drives.register import Kind, Register, Storage
 
-RS485_WRITES_INHIBITED = 2  # F700 (E6581657 5.3)
+WRITES_INHIBITED, WRITES_AND_READS_INHIBITED = 2, 4  # F700, by RS485 (E6581657 5.3, VF-MB1 RS485 5.3)
 
 
 class Denial(Enum):
@@ -18,6 +18,7 @@ class Denial(Enum):
     NUMBER = "no such communication number, or a write to a read-only one"
     RANGE = "data outside its range"
     UNABLE = "impossible now"
+    CHECKSUM = "wrong checksum"
 
 
 class Denied(Exception):
@@ -66,6 +67,10 @@ class Memory:
             raise Denied(Denial.NUMBER)
         return register
 
+    def has_address(self, address: int) -> bool:
+        """Say whether something stands under a communication number."""
+        return address in self._by_address
+
     def has(self, name: str) -> bool:
         """Say whether this model has a register of that name."""
         return name in self._by_name
@@ -85,18 +90,31 @@ class Memory:
         return absent if register is None else self._in_force[register.address]
 
     def check_write(self, register: Register, word: int, *, is_running: bool) -> None:
-        """Deny a write as a drive does: read-only, then out of range, then protected."""
+        """Deny a write as a drive does: a password that is set, read-only, then out of range, then protected."""
+        if register.name == "password" and self.word("password"):
+            raise Denied(Denial.UNABLE)
         if not register.is_writable:
             raise Denied(Denial.NUMBER)
         raw = register.scaling.raw(word)
         low, high = self._limits(register)
         if not low <= raw <= high:
             raise Denied(Denial.RANGE)
-        is_protected = self.word("write_protection") == RS485_WRITES_INHIBITED
-        if register.kind is Kind.PARAMETER and is_protected:
+        if register.kind is Kind.PARAMETER and self._inhibits(WRITES_INHIBITED, WRITES_AND_READS_INHIBITED):
             raise Denied(Denial.UNABLE)
         if is_running and not register.writable_while_running:
             raise Denied(Denial.UNABLE)
+
+    def check_read(self, register: Register) -> None:
+        """Deny the reading of a parameter where F700 does; a model whose manual has no such code allows it."""
+        if register.kind is Kind.PARAMETER and self._inhibits(WRITES_AND_READS_INHIBITED):
+            raise Denied(Denial.UNABLE)
+
+    def _inhibits(self, *codes: int) -> bool:
+        """Say whether F700 is one of those codes, as far as the model has them."""
+        protection = self._by_name.get("write_protection")
+        if protection is None or protection.enumeration is None:
+            return False
+        return self._ram[protection.address] in protection.enumeration.texts.keys() & codes
 
     def _limits(self, register: Register) -> tuple[int, int]:
         low, high = register.scaling.limits
@@ -112,7 +130,7 @@ class Memory:
         self.changes += 1
 
     def write_stored(self, register: Register, word: int) -> bool:
-        """Write as MODBUS 06H and 10H do; say whether that wore the EEPROM."""
+        """Write as W and MODBUS 06H and 10H do; say whether that wore the EEPROM."""
         self.write_ram(register, word)
         if register.storage is not Storage.EEPROM:
             return False

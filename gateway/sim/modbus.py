@@ -6,10 +6,10 @@ Written from the manual alone and apart from the gateway's codec, so that the tw
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 from gateway.drives.model import BlockForms
 from gateway.sim.memory import Denial, Denied
+from gateway.sim.registers import Registers
 
 BROADCAST = 0
 LONGEST_NUMBER = 247
@@ -31,39 +31,6 @@ CODES = {Denial.COMMAND: 1, Denial.NUMBER: 2, Denial.RANGE: 3, Denial.UNABLE: 4}
 
 BLOCK_READ_NUMBERS = 5  # 1875H-1879H stand for F875-F879, 1870H-1871H for F870-F871
 BLOCK_WRITE_NUMBERS = 2
-
-
-class Registers(Protocol):
-    """What a protocol may ask of a drive; every method may raise Denied."""
-
-    @property
-    def blocks(self) -> BlockForms:
-        """Return which block forms the model has."""
-        ...
-
-    def read(self, address: int) -> int:
-        """Read one word."""
-        ...
-
-    def read_direct(self, first: int, count: int) -> Sequence[int]:
-        """Read consecutive numbers."""
-        ...
-
-    def read_block(self, count: int) -> Sequence[int]:
-        """Read what F875-F879 select."""
-        ...
-
-    def write_stored(self, address: int, word: int) -> None:
-        """Write one word, to the EEPROM too where the register has a place there."""
-        ...
-
-    def write_block(self, words: Sequence[int]) -> None:
-        """Write to RAM what F870 and F871 select."""
-        ...
-
-    def identity(self) -> tuple[str, str]:
-        """Return the device reference and the version."""
-        ...
 
 
 def _shifted(byte: int) -> int:

@@ -63,7 +63,8 @@ def status(condition: Condition, command: Operation) -> int:
 
 
 def _alarm_bit(condition: Condition) -> int:
-    return ALARM if condition.alarm or condition.is_timed_out else 0
+    is_alarm_t = condition.is_timed_out or condition.is_master_tripped
+    return ALARM if condition.alarm or is_alarm_t else 0
 
 
 def status_2(_condition: Condition, command: Operation) -> int:

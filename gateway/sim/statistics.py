@@ -33,7 +33,7 @@ class WireStatistics:
     requests: int = 0
     answers: int = 0
     unanswered: int = 0  # whole frames that no drive answered
-    broken: int = 0  # wrong CRC
+    broken: int = 0  # whole in no protocol: wrong CRC or checksum, no form of the manuals
     lost: int = 0  # frames that no drive could hear
     wrong_baud: int = 0  # of these, frames sent at another baud rate
     gap_violations: int = 0  # frames begun less than 3.5 characters after the last one

@@ -13,8 +13,8 @@ from enum import Enum
 from gateway.protocol.timing import SPLIT_CHARACTERS, LineTiming
 from gateway.sim.drive import SimulatedDrive
 from gateway.sim.faults import Faults, Kind
+from gateway.sim.frames import is_whole
 from gateway.sim.journal import Entry, Journal, Way
-from gateway.sim.modbus import is_whole
 from gateway.sim.statistics import WireStatistics
 
 ROUNDING = 1e-6  # seconds; a gap that is shorter by less than this is kept
@@ -179,11 +179,10 @@ class Wire:
         if is_lost:
             self.statistics.lost += 1
             return
-        if heard is not None and not is_whole(heard):
-            self.statistics.broken += 1
-            return
+        is_broken = heard is not None and not is_whole(heard)
+        self.statistics.broken += is_broken
         answers = [self._ask(place, drive, heard, frame, heard_at) for place, drive in enumerate(self.drives)]
-        if not any(answers):
+        if not is_broken and not any(answers):
             self.statistics.unanswered += 1
             self.statistics.busy += self._timing.request(len(data)) + self._timing.gap
 

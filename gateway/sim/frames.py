@@ -1,0 +1,21 @@
+"""Which protocol a frame is of: MODBUS-RTU, or the mode of TOSHIBA that its start code says (E6581657 3, 4)."""
+
+from __future__ import annotations
+
+from gateway.sim import modbus, toshiba_ascii, toshiba_binary
+from gateway.sim.options import MODBUS_RTU
+from gateway.sim.registers import Registers
+
+
+def answer(protocol: int, frame: bytes, number: int, registers: Registers) -> bytes | None:
+    """Let a drive that is set to that protocol (F829) do what a frame asks; None where it keeps silent."""
+    if protocol == MODBUS_RTU:
+        return modbus.answer(frame, number, registers)
+    if frame.startswith(toshiba_ascii.START):
+        return toshiba_ascii.answer(frame, number, registers)
+    return toshiba_binary.answer(frame, number, registers)
+
+
+def is_whole(frame: bytes) -> bool:
+    """Say whether a frame is a request in one of the protocols, with nothing missing and the right check."""
+    return modbus.is_whole(frame) or toshiba_ascii.is_whole(frame) or toshiba_binary.is_whole(frame)
