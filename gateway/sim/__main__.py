@@ -20,7 +20,8 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program that started this one
     try:
         config = SimulatedLineConfig.model_validate_json(sys.stdin.readline())
-        with opened(config, Path(sys.argv[1])) as loop:
+        with opened(config, Path(sys.argv[1])) as line:
+            loop = line.loop
             loop.add_reader(sys.stdin.fileno(), loop.stop)
             sys.stdout.write(json.dumps({"port": config.link or loop.port.name}) + "\n")
             sys.stdout.flush()

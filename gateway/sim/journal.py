@@ -17,6 +17,7 @@ class Way(Enum):
     REQUEST = "request"  # the master's, as it sent them
     ANSWER = "answer"  # a drive's, as it gave them, before any fault
     HEARD = "heard"  # what reached the master
+    EVENT = "event"  # nobody's: something was done to the line, `note` says what
 
 
 @dataclass(frozen=True, slots=True)

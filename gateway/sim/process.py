@@ -56,7 +56,7 @@ class SimulatedLine:
         if pipes.stdin is None or pipes.stdout is None:
             raise AssertionError("both are pipes")
         with contextlib.suppress(BrokenPipeError):
-            pipes.stdin.write(self._config.model_dump_json() + "\n")
+            pipes.stdin.write(self._config.model_dump_json(by_alias=True) + "\n")
             pipes.stdin.flush()
         first = pipes.stdout.readline()
         if not first:
@@ -84,9 +84,14 @@ class SimulatedLine:
         result: dict[str, Any] = self.do({"do": "stats"})
         return result
 
-    def state(self, drive: int) -> dict[str, Any]:
+    def state(self, drive: int | str) -> dict[str, Any]:
         """Return what one drive is and holds."""
         result: dict[str, Any] = self.do({"do": "state", "drive": drive})
+        return result
+
+    def log(self, count: int = 100) -> list[dict[str, Any]]:
+        """Return the latest frames and events, the oldest first."""
+        result: list[dict[str, Any]] = self.do({"do": "log", "count": count})
         return result
 
     def unplug(self) -> None:

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Protocol
 
 from gateway.protocol.timing import SPLIT_CHARACTERS, LineTiming
 from gateway.sim.drive import SimulatedDrive
@@ -25,6 +26,23 @@ class Delivery(Enum):
 
     FRAME = "frame"
     CHARACTER = "character"
+
+
+class Script(Protocol):
+    """What is to happen to the line by itself."""
+
+    @property
+    def next_time(self) -> float | None:
+        """Return when something is to happen; None for never."""
+        ...
+
+    def play(self, now: float) -> None:
+        """Let happen what is due."""
+        ...
+
+    def exchange_over(self, now: float) -> None:
+        """Note that no exchange is under way, or that the master goes on to the next one."""
+        ...
 
 
 @dataclass(slots=True)
@@ -66,6 +84,7 @@ class Wire:
         self.faults = faults
         self.statistics = WireStatistics()
         self.journal = Journal()
+        self.script: Script | None = None
         self._timing = timing
         self._parity = parity
         self._delivery = delivery
@@ -88,6 +107,8 @@ class Wire:
         if not data:
             return
         self._advance(now)
+        if self._frame is None and self.script is not None:
+            self.script.exchange_over(now)
         frame = self._frame
         begin = now if frame is None else max(now, frame.end)
         end = begin + self._timing.request(len(data))
@@ -99,7 +120,7 @@ class Wire:
             frame.end = end
         if self._frame is not None:
             self._frame.is_noise |= is_noise
-        if self.faults.strikes(Kind.ECHO, None, now):
+        if self.faults.strikes(Kind.ECHO, (), now):
             self._echoes.append((end, data))
 
     def babble(self, count: int, now: float) -> None:
@@ -119,6 +140,8 @@ class Wire:
             times.append(self._frame.end + self._timing.gap)
         if self._echoes:
             times.append(self._echoes[0][0])
+        if self.script is not None and (planned := self.script.next_time) is not None:
+            times.append(planned)
         return min(times, default=None)
 
     def due(self, now: float) -> list[bytes]:
@@ -174,7 +197,7 @@ class Wire:
         self.statistics.wrong_baud += frame.is_noise
         data = bytes(frame.data)
         is_lost = frame.is_lost or frame.is_noise
-        heard = None if is_lost else self.faults.heard(data, None, heard_at)
+        heard = None if is_lost else self.faults.heard(data, (), heard_at)
         self.journal.add(Entry(Way.REQUEST, frame.begin, frame.end, data, None, _fate(frame, heard)))
         if is_lost:
             self.statistics.lost += 1
@@ -192,7 +215,7 @@ class Wire:
         if is_busy or not drive.hears(self._timing.baud, self._parity):
             return False
         number = drive.number
-        heard = None if data is None else self.faults.heard(data, number, now)
+        heard = None if data is None else self.faults.heard(data, (drive, number), now)
         if heard is None:
             return False
         answer, processing = drive.handle(heard, now)
@@ -202,7 +225,7 @@ class Wire:
         self._busy[place] = own_end
         begin = now + processing
         self.journal.add(Entry(Way.ANSWER, begin, own_end, answer, number))
-        for sending in self.faults.sendings(answer, number, now):
+        for sending in self.faults.sendings(answer, (drive, number), now):
             begin = self._send(sending.data, begin + sending.delay, number, sending.note)
         necessary = self._timing.exchange(len(heard), len(answer), processing)
         self.statistics.answered(number, own_end, necessary)
@@ -253,6 +276,10 @@ class Wire:
                 sending.heard += arrived
                 self._note(sending)
         self._prune(now)
+        if self.script is not None:
+            if not (self._frame or self._echoes or any(sending.characters for sending in self._sendings)):
+                self.script.exchange_over(now)
+            self.script.play(now)
 
     def _hear(self, data: bytes, now: float) -> None:
         if not self._heard:

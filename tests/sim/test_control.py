@@ -11,10 +11,9 @@ from typing import Any
 import pytest
 
 from gateway.errors import GatewayError
-from gateway.sim.control import Control
+from gateway.sim.faults import Kind
 from gateway.sim.lateness import Lateness
-from gateway.sim.loop import LineLoop
-from gateway.sim.runner import describe, opened
+from gateway.sim.runner import OpenLine, describe, opened
 from gateway.sim.settings import SimulatedLineConfig, from_options
 from tests.sim.rig import framed
 
@@ -22,101 +21,241 @@ PATIENCE = 10.0  # seconds for what takes milliseconds
 
 
 @pytest.fixture
-def loop() -> Iterator[LineLoop]:
+def line() -> Iterator[OpenLine]:
     """Open a line of two drives that nobody runs: the test looks at it between requests."""
     config = SimulatedLineConfig.model_validate(
-        {"drive": [{"number": 1, "model": "vf-nc3", "running_at": 30}, {"number": 2, "model": "vf-mb1"}]}
+        {
+            "drive": [
+                {"number": 1, "name": "pump", "model": "vf-nc3", "running_at": 30, "block_read": [2, 1]},
+                {"number": 2, "model": "vf-mb1"},
+            ]
+        }
     )
-    with opened(config, None) as line:
-        yield line
+    with opened(config, None) as open_line:
+        yield open_line
 
 
-def result(loop: LineLoop, **request: Any) -> Any:
+def result(line: OpenLine, **request: Any) -> Any:
     """Do a control request that must work."""
-    answer = Control(loop).do(request)
+    answer = line.control.do(request)
     assert answer["ok"], answer
+    json.dumps(answer)
     return answer["result"]
 
 
-def trip_code(loop: LineLoop, number: int) -> int:
-    """Ask the control for the trip of a drive."""
-    code: int = result(loop, do="state", drive=number)["trip_code"]
-    return code
+def refusal(line: OpenLine, **request: Any) -> str:
+    """Do a control request that must be refused; return why."""
+    answer = line.control.do(request)
+    assert not answer["ok"]
+    return str(answer["error"])
 
 
-def test_state_tells_what_a_drive_is_and_holds(loop: LineLoop) -> None:
-    """Frequency, registers and wear, as the drive has them."""
-    state = result(loop, do="state", drive=1)
-    assert (state["model"], state["frequency"], state["is_running"]) == ("vf-nc3", 30.0, True)
-    assert state["registers"]["panel_frequency"] == 3000
-    assert state["eeprom_writes"] == {}
+def ask(line: OpenLine, body: str, number: int = 1) -> None:
+    """Let a master ask a drive, half a second from now on the line's clock."""
+    wire = line.loop.wire
+    begin = max(drive.inverter.condition.time for drive in wire.drives) + 0.5
+    wire.feed(framed(body, number), begin)
+    wire.due(begin + 0.4)
 
 
-def test_what_an_operator_does_at_a_drive_can_be_done(loop: LineLoop) -> None:
-    """Set, run, trip and power cycle act on the drive that is named."""
-    result(loop, do="set", drive=2, register="free_notes", value=5)
-    result(loop, do="run", drive=2, frequency=10, reverse=True)
-    drive = loop.wire.drives[1].inverter
-    assert (drive.memory.word("free_notes"), drive.operation.target) == (5, -10.0)
-    result(loop, do="trip", drive=2, code=13)
-    assert (trip_code(loop, 2), trip_code(loop, 1)) == (13, 0)
-    result(loop, do="power_cycle", drive=2, seconds=3.0)
-    assert trip_code(loop, 2) == 0
-    assert drive.deaf_until == pytest.approx(drive.condition.time + 4.0, abs=1.0)
+class TestState:
+    def test_it_tells_what_a_drive_is_and_holds(self, line: OpenLine) -> None:
+        """Frequency, registers and wear, as the drive has them."""
+        state = result(line, do="state", drive=1)
+        assert (state["number"], state["name"], state["model"]) == (1, "pump", "vf-nc3")
+        assert (state["form"], state["protocol"]) == ("VFnC3-2007P", "modbus-rtu")
+        assert (state["frequency"], state["is_running"], state["is_deaf"]) == (30.0, True, False)
+        assert state["registers"]["panel_frequency"] == 3000
+        assert state["selectors"] == {"read": ["output_frequency", "status", "", "", ""], "write": ["", ""]}
+        assert (state["eeprom_writes"], state["forced"], state["alarm"]) == ({}, {}, 0)
+
+    def test_without_a_drive_it_tells_of_all(self, line: OpenLine) -> None:
+        """In the order of the file, so that doubled numbers can be told apart."""
+        result(line, do="renumber", drive=2, number=1)
+        assert [state["model"] for state in result(line, do="state")] == ["vf-nc3", "vf-mb1"]
+
+    def test_it_counts_what_reached_the_drive(self, line: OpenLine) -> None:
+        """Frames heard are everybody's, messages acknowledged its own, writes to the EEPROM by number."""
+        for body, number in [("03 FD00 0001", 1), ("06 0880 0007", 2), ("06 0880 0008", 2), ("03 FD00 0001", 9)]:
+            ask(line, body, number)
+        first, second = result(line, do="state")
+        assert (first["frames_heard"], second["frames_heard"]) == (4, 4)
+        assert (first["messages_acknowledged"], second["messages_acknowledged"]) == (1, 2)
+        assert first["acknowledged_at"] < second["acknowledged_at"]
+        assert (first["eeprom_writes"], second["eeprom_writes"]) == ({}, {"0880": 2})
+
+    def test_it_tells_how_near_the_time_out_was(self, line: OpenLine) -> None:
+        """F803 = 1.0 s, and half a second between messages: 0.5 s were left, and are now less again."""
+        assert result(line, do="state", drive=1)["timeout"]["least_margin"] is None
+        result(line, do="set", drive=1, register="communication_timeout", value=10)
+        ask(line, "03 FD00 0001")
+        ask(line, "03 FD00 0001")
+        timeout = result(line, do="state", drive=1)["timeout"]
+        assert (timeout["period"], timeout["is_timed_out"]) == (1.0, False)
+        assert timeout["least_margin"] == pytest.approx(0.5, abs=0.05)
+        assert timeout["left"] == pytest.approx(1.0, abs=0.05)
+
+    @pytest.mark.parametrize(
+        ("settings", "text"),
+        [
+            ({}, None),
+            ({"standard_monitor": 18}, "dAtA"),
+            ({"standard_monitor": 18, "led_text_1_digit_2": 0xB0, "led_text_1_digit_4": 3}, "d0.t "),
+            ({"standard_monitor": 18, "led_selection": 2}, "0000"),
+            ({"standard_monitor": 18, "led_selection": 0, "led_number": 1234, "led_decimal_point": 2}, "12.34"),
+            ({"standard_monitor": 18, "led_selection": 0, "led_number": 7}, "7"),
+        ],
+    )
+    def test_it_shows_the_panel_s_text(self, line: OpenLine, settings: dict[str, int], text: str | None) -> None:
+        """What the host wrote there, while F710 = 18 has it shown (E6581657 7.3.1)."""
+        for register, value in settings.items():
+            result(line, do="set", drive=1, register=register, value=value)
+        assert result(line, do="state", drive=1)["panel"] == text
 
 
-def test_a_drive_is_named_by_the_number_it_has_now(loop: LineLoop) -> None:
-    """Renumbered at the panel, it goes by its new number."""
-    result(loop, do="set", drive=2, register="number", value=7)
-    assert result(loop, do="state", drive=7)["model"] == "vf-mb1"
-    assert "no drive 2" in Control(loop).do({"do": "state", "drive": 2})["error"]
+class TestDoings:
+    def test_what_an_operator_does_at_a_drive_can_be_done(self, line: OpenLine) -> None:
+        """Set, run, trip and power cycle act on the drive that is named."""
+        result(line, do="set", drive=2, register="free_notes", value=5)
+        result(line, do="run", drive=2, frequency=10, reverse=True)
+        drive = line.loop.wire.drives[1].inverter
+        assert (drive.memory.word("free_notes"), drive.operation.target) == (5, -10.0)
+        result(line, do="trip", drive=2, code=13)
+        assert [state["trip_code"] for state in result(line, do="state")] == [0, 13]
+        result(line, do="power_cycle", drive=2, seconds=3.0)
+        assert result(line, do="state", drive=2)["trip_code"] == 0
+        assert drive.deaf_until == pytest.approx(drive.condition.time + 4.0, abs=1.0)
+
+    def test_a_power_cut_without_a_drive_is_everybody_s(self, line: OpenLine) -> None:
+        """Both start up."""
+        result(line, do="power_cycle")
+        assert [state["is_deaf"] for state in result(line, do="state")] == [True, True]
+
+    def test_a_drive_goes_by_the_number_it_has_now_or_by_its_name(self, line: OpenLine) -> None:
+        """Renumbered at the panel, it goes by its new number; a name stays."""
+        result(line, do="renumber", drive="pump", number=7)
+        assert result(line, do="state", drive=7)["name"] == "pump"
+        assert result(line, do="state", drive="pump")["number"] == 7
+        assert refusal(line, do="state", drive=1) == "no drive 1; on the line: 7, 2, pump"
+
+    def test_a_register_can_be_forced_and_let_go(self, line: OpenLine) -> None:
+        """It reads that word whatever is true."""
+        result(line, do="force", drive=1, register="output_frequency", value=77)
+        assert result(line, do="state", drive=1)["forced"] == {"FD00": 77}
+        result(line, do="force", drive=1, register="output_frequency")
+        assert result(line, do="state", drive=1)["forced"] == {}
+
+    def test_faults_are_begun_and_ended(self, line: OpenLine) -> None:
+        """A fault of a drive, one of the line, a cut wire; clearing says how many there were."""
+        drives, faults = line.loop.wire.drives, line.loop.wire.faults
+        result(line, do="fault", drive=1, kind="late", value=0.2, count=3)
+        result(line, do="fault", kind="echo")
+        result(line, do="cut", drive=2)
+        late, echo, cut = faults.all
+        assert (late.drive, late.value, late.count) == (drives[0], 0.2, 3)
+        assert (echo.drive, cut.drive, cut.kind) == (None, drives[1], Kind.CUT)
+        assert result(line, do="clear_faults", kind="echo") == 1
+        assert result(line, do="clear_faults", drive="pump") == 1
+        result(line, do="cut", drive=2, on=False)
+        assert result(line, do="clear_faults") == 0
+
+    @pytest.mark.parametrize(("doing", "kind"), [("cut", Kind.CUT), ("silence", Kind.DROP)])
+    def test_what_is_switched_on_twice_is_on_once(self, line: OpenLine, doing: str, kind: Kind) -> None:
+        """And switched off once it is off; the line's and a drive's are apart."""
+        faults = line.loop.wire.faults
+        for drive in (None, None, 1, 1):
+            result(line, do=doing, drive=drive)
+        assert [fault.kind for fault in faults.all] == [kind, kind]
+        result(line, do=doing, on=False)
+        assert [fault.drive for fault in faults.all] == [line.loop.wire.drives[0]]
+
+    def test_babble_and_plugging_are_for_the_line(self, line: OpenLine) -> None:
+        """Noise is under way until the adapter is pulled out; plugged in again it has a port."""
+        result(line, do="babble", bytes=3)
+        assert line.loop.wire.next_event() is not None
+        result(line, do="unplug")
+        assert line.loop.wire.next_event() is None
+        assert line.loop.port.descriptor is None
+        assert result(line, do="plug") == line.loop.port.name
+        assert Path(line.loop.port.name).exists()
+
+    def test_a_capture_that_cannot_be_written_is_refused(self, line: OpenLine, tmp_path: Path) -> None:
+        """The reason is the system's."""
+        assert "No such file" in refusal(line, do="capture", file=str(tmp_path / "none" / "line.pcap"))
 
 
-def test_faults_are_begun_and_ended(loop: LineLoop) -> None:
-    """A fault of a drive, one of the line, and silence; clearing says how many there were."""
-    result(loop, do="fault", drive=1, kind="late", value=0.2, count=3)
-    result(loop, do="fault", kind="echo")
-    result(loop, do="silence", drive=2)
-    late, echo, cut = loop.wire.faults.all
-    assert (late.drive, late.value, late.count) == (1, 0.2, 3)
-    assert (echo.drive, cut.drive, cut.kind.value) == (None, 2, "cut")
-    assert result(loop, do="clear_faults", kind="echo") == 1
-    assert result(loop, do="clear_faults", drive=1) == 1
-    result(loop, do="silence", drive=2, on=False)
-    assert result(loop, do="clear_faults") == 0
+class TestQuestions:
+    def test_counts_can_begin_anew(self, line: OpenLine) -> None:
+        """After a reset all are 0."""
+        line.loop.wire.statistics.gap_violations = 3
+        line.loop.lateness.add(0.5)
+        result(line, do="fault", drive=1, kind="drop")
+        refusal(line, do="trip", drive=9, code=1)
+        ask(line, "03 FD00 0001")
+        counted = result(line, do="stats")
+        assert (counted["done"], counted["failed"], counted["faults"]) == (1, 1, {"drop": 1})
+        result(line, do="reset_stats")
+        counted = result(line, do="stats")
+        assert (counted["gap_violations"], counted["lateness_maximum"], counted["drives"]) == (0, 0.0, {})
+        assert (counted["done"], counted["failed"], counted["faults"]) == (0, 0, {})
+
+    def test_the_log_has_frames_and_what_was_done(self, line: OpenLine) -> None:
+        """Requests, answers as they were given, what the master heard, and events, in their order."""
+        result(line, do="fault", drive=1, kind="truncate", value=2)
+        ask(line, "03 FD00 0001")
+        event, request, answer, heard = result(line, do="log")
+        assert (event["way"], event["note"]) == ("event", "fault kind=truncate value=2 drive=1")
+        assert (request["way"], request["data"]) == ("request", "01 03 FD 00 00 01 B5 A6")
+        assert (answer["way"], answer["drive"], answer["data"]) == ("answer", 1, "01 03 02 0B B8 BF 06")
+        assert (heard["way"], heard["data"], heard["note"]) == ("heard", "01 03", "truncate")
+        assert event["end"] <= request["begin"] < request["end"] < answer["begin"] == heard["begin"] < heard["end"]
+        assert [entry["way"] for entry in result(line, do="log", count=2)] == ["answer", "heard"]
+
+    def test_the_log_shows_text_as_text(self, line: OpenLine) -> None:
+        """An ASCII frame can be read."""
+        line.loop.wire.feed(b"(RFD00)\r", line.control.line.opened + 0.5)
+        line.loop.wire.due(line.control.line.opened + 1)
+        (request,) = result(line, do="log")
+        assert request["text"] == "(RFD00)\r"
 
 
-def test_statistics_can_be_counted_anew(loop: LineLoop) -> None:
-    """After a reset all counts are 0."""
-    loop.wire.statistics.gap_violations = 3
-    loop.lateness.add(0.5)
-    result(loop, do="reset_stats")
-    counted = result(loop, do="stats")
-    assert (counted["gap_violations"], counted["lateness_maximum"], counted["drives"]) == (0, 0.0, {})
-    json.dumps(counted)
+@pytest.mark.parametrize(
+    ("request_", "reason"),
+    [
+        ({"do": "dance"}, "do: no such doing 'dance'; known: trip, "),
+        ({}, "do: missing: say what is to be done"),
+        ({"do": "trip", "drive": 1}, "code: Field required"),
+        ({"do": "trip", "drive": 1, "code": "13"}, "code: Input should be a valid integer"),
+        ({"do": "trip", "drive": 1.5, "code": 13}, "drive: a drive's number (0 to 247) is wanted, or the name"),
+        ({"do": "trip", "drive": 1, "code": 13, "when": "now"}, "when: unknown key"),
+        ({"do": "state", "drive": "fan"}, "no drive fan; on the line: 1, 2, pump"),
+        ({"do": "set", "drive": 1, "register": "colour", "value": 1}, "vf-nc3 has no register 'colour'; `tosvert"),
+        ({"do": "fault", "kind": "gremlin"}, "kind: Input should be 'cut', "),
+        ({"do": "fault", "kind": "drop", "value": 1}, "drop takes no value"),
+        ({"do": "fault", "kind": "echo", "drive": 1}, "echo is a fault of the line: it takes no drive"),
+        ({"do": "fault", "kind": "flip", "value": 1.5}, "the value of flip counts bits: a whole number"),
+        ({"do": "fault", "kind": "late", "value": [2, 1]}, "value: of two numbers the smaller one stands first"),
+        ({"do": "babble", "bytes": -1}, "bytes: a number from 0 up is wanted, or two"),
+        ({"do": "babble", "bytes": 0.5}, "bytes counts bytes"),
+        ({"do": "log", "count": 0}, "count: Input should be greater than or equal to 1"),
+    ],
+)
+def test_a_wrong_request_is_refused_with_its_reason(line: OpenLine, request_: dict[str, Any], reason: str) -> None:
+    """The key that is wrong, and what would be right."""
+    assert refusal(line, **request_).startswith(reason)
 
 
-def test_babble_and_plugging_are_for_the_line(loop: LineLoop) -> None:
-    """Noise is under way until the adapter is pulled out; plugged in again it has a port."""
-    result(loop, do="babble", bytes=3)
-    assert loop.wire.next_event() is not None
-    result(loop, do="unplug")
-    assert loop.wire.next_event() is None
-    assert loop.port.descriptor is None
-    assert result(loop, do="plug") == loop.port.name
-    assert Path(loop.port.name).exists()
-
-
-@pytest.mark.parametrize("line", [b"", b"{", b"[]", b'"stats"', b'{"do": "set", "drive": 1}', b'{"do": "run"}'])
-def test_no_line_is_fatal(loop: LineLoop, line: bytes) -> None:
+@pytest.mark.parametrize("text", [b"", b"{", b"[]", b'"stats"', b'{"do": "set", "drive": 1}', b'{"do": "run"}'])
+def test_no_line_is_fatal(line: OpenLine, text: bytes) -> None:
     """Whatever comes is answered by one line that says what was wrong."""
-    answer = json.loads(Control(loop).do_line(line))
+    answer = json.loads(line.control.do_line(text))
     assert not answer["ok"]
     assert answer["error"]
 
 
-def test_the_loop_moves_bytes_until_it_is_stopped(loop: LineLoop) -> None:
+def test_the_loop_moves_bytes_until_it_is_stopped(line: OpenLine) -> None:
     """A request is answered over the port, the lateness of it measured, and stop ends the loop."""
+    loop = line.loop
     thread = threading.Thread(target=loop.run)
     thread.start()
     try:
@@ -144,12 +283,22 @@ def test_a_control_socket_in_use_is_not_taken_over(tmp_path: Path) -> None:
 
 def test_a_line_is_described_to_its_user() -> None:
     """Port, speed, drives, and a note where numbers are doubled."""
-    config = from_options(["3:vf-nc3", "3:vf-mb1"], baud=9600)
+    table = {
+        "baud": 9600,
+        "checks_baud": True,
+        "drive": [
+            {"number": 3, "name": "pump", "model": "vf-nc3", "running_at": 20},
+            {"number": 3, "model": "vf-mb1", "protocol": "toshiba"},
+        ],
+        "event": [{"at": "5s", "do": "trip", "drive": "pump", "code": 13}],
+    }
+    config = SimulatedLineConfig.model_validate(table)
     assert list(describe(config, "/dev/pts/9", Path("/run/c"))) == [
         "port /dev/pts/9",
-        "line 9600 8E1, answers after 5 ms",
-        "drive 3 vf-nc3",
-        "drive 3 vf-mb1",
+        "line 9600 8E1, answers after 5 ms, and the master's baud rate is checked",
+        "drive 3 (pump) vf-nc3 modbus-rtu, running at 20 Hz",
+        "drive 3 vf-mb1 toshiba",
+        "scenario of 1 event",
         "note: 3 is the number of more than one drive: their answers collide",
         "control /run/c",
     ]

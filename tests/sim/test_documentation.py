@@ -7,12 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from gateway.sim.control import Control
+from gateway.sim.control import REQUEST
+from gateway.sim.doings import FaultSection
+from gateway.sim.drive_section import SimulatedDriveSection
 from gateway.sim.faults import Kind
 from gateway.sim.runner import opened
-from gateway.sim.settings import FaultSection, SimulatedDriveSection, SimulatedLineConfig, build, from_options, load
+from gateway.sim.settings import SimulatedLineConfig, build, from_options, load
 
 ROOT = Path(__file__).parents[2]
+REQUESTS = REQUEST.json_schema()["discriminator"]["mapping"]
 PAGE = (ROOT / "docs" / "simulator.md").read_text(encoding="utf-8")
 
 
@@ -42,16 +45,14 @@ def test_the_programs_on_the_page_run(program: str) -> None:
 
 def test_the_page_names_every_fault_and_every_request() -> None:
     """Nothing that can be asked for is left out, and no key of a fault."""
-    with opened(from_options(["1:vf-nc3"]), None) as loop:
-        requests = Control(loop).requests
     words = set(re.findall(r"`([a-z_]+)`", PAGE))
     assert {kind.value for kind in Kind} <= words
-    assert set(requests) <= words
+    assert set(REQUESTS) <= words
     assert set(FaultSection.model_fields) <= words
 
 
 def test_the_page_names_every_count() -> None:
     """All keys of the statistics are explained."""
-    with opened(from_options(["1:vf-nc3"]), None) as loop:
-        counted = loop.statistics()
+    with opened(from_options(["1:vf-nc3"]), None) as line:
+        counted = line.control.do({"do": "stats"})["result"]
     assert set(counted) <= set(re.findall(r"`([a-z_0-9]+)`", PAGE))

@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 
+from gateway.sim.doings import whose
 from gateway.sim.modbus import is_whole
 from gateway.sim.wire import Wire
 from tests.sim.rig import framed
@@ -124,9 +125,10 @@ class TestWhenAndWhom:
     def test_faults_can_be_ended(self) -> None:
         """By drive, by kind, or all of them."""
         wire = faulty({"kind": "drop"}, {"kind": "late"})
-        assert wire.faults.clear(drive=2) == 0
+        first, second = wire.drives
+        assert wire.faults.clear(whose(second)) == wire.faults.clear(whose(None)) == 0
         assert wire.faults.clear(kind=next(fault.kind for fault in wire.faults.all)) == 1
-        assert wire.faults.clear(drive=1) == 1
+        assert wire.faults.clear(whose(first)) == 1
         ((when, data),) = asked(wire)
         assert when == pytest.approx(EXCHANGE)
         assert data == ANSWER

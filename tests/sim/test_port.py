@@ -16,9 +16,10 @@ from pymodbus.exceptions import ModbusIOException
 from pymodbus.pdu.mei_message import ReadDeviceInformationResponse
 
 from gateway.errors import GatewayError
+from gateway.sim.drive_section import SimulatedDriveSection
 from gateway.sim.process import SimulatedLine
 from gateway.sim.pty_port import PtyPort
-from gateway.sim.settings import SimulatedDriveSection, SimulatedLineConfig, from_options
+from gateway.sim.settings import SimulatedLineConfig, from_options
 
 pytestmark = pytest.mark.e2e
 
@@ -138,7 +139,7 @@ class TestTiming:
 
 class TestControl:
     def test_a_drive_is_silent_until_it_is_let_speak(self, line: SimulatedLine, master: ModbusSerialClient) -> None:
-        """The request silence cuts one drive off and brings it back."""
+        """The request silence takes one drive's answers and gives them back."""
         line.do({"do": "silence", "drive": 2, "on": True})
         master.comm_params.timeout_connect = 0.1
         with pytest.raises(ModbusIOException):
@@ -170,9 +171,9 @@ class TestControl:
     @pytest.mark.parametrize(
         ("request_", "reason"),
         [
-            ({"do": "dance"}, "no such request"),
+            ({"do": "dance"}, "no such doing"),
             ({"do": "state", "drive": 9}, "no drive 9"),
-            ({"do": "state"}, "'drive'"),
+            ({"do": "renumber", "drive": 1}, "number: Field required"),
             ({"do": "set", "drive": 1, "register": "colour", "value": 1}, "colour"),
             ({"do": "fault", "kind": "gremlin"}, "kind"),
         ],
@@ -245,11 +246,13 @@ class TestProgram:
         ) as process:
             assert process.stdout is not None
             told = [process.stdout.readline().strip() for _ in range(5)]
-            assert told[0].startswith(f"port {link} -> /dev/pts/")
-            assert told[1:4] == ["line 19200 8E1, answers after 5 ms", "drive 1 vf-nc3", "drive 2 vf-mb1"]
-            assert control.is_socket()
+            has_control = control.is_socket()
             process.send_signal(signal.SIGTERM)
             assert process.wait(PATIENCE) == 0
+        assert told[0].startswith(f"port {link} -> /dev/pts/")
+        assert told[1] == "line 19200 8E1, answers after 5 ms"
+        assert told[2:4] == ["drive 1 vf-nc3 modbus-rtu", "drive 2 vf-mb1 modbus-rtu"]
+        assert has_control
         assert not link.is_symlink()
         assert not control.exists()
 

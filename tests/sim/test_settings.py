@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import BadConfig
-from gateway.sim.settings import SimulatedLineConfig, build, doubled_numbers, from_options, load
+from gateway.sim.settings import SimulatedLineConfig, build, from_options, load, notes
 from gateway.sim.wire import Delivery
 
 EVERYTHING = """\
@@ -140,6 +140,19 @@ def test_a_wrong_baud_rate_is_refused() -> None:
         from_options(["1:vf-nc3"], baud=115200)
 
 
-def test_doubled_numbers_are_noticed() -> None:
-    """They can be simulated, and are worth a word."""
-    assert doubled_numbers(from_options(["1:vf-nc3", "2:vf-nc3", "1:vf-mb1"])) == [1]
+@pytest.mark.parametrize(
+    ("drives", "note"),
+    [
+        (["1:vf-nc3", "2:vf-nc3", "1:vf-mb1"], "1 is the number of more than one drive: their answers collide"),
+        (["0:vf-nc3"], "drive 0 speaks MODBUS-RTU, where 0 is for all: it obeys, and answers nothing"),
+        (["100:vf-mb1:toshiba"], "drive 100 speaks TOSHIBA, where numbers end at 99 (ASCII) and 63 (binary)"),
+    ],
+)
+def test_what_is_seldom_meant_is_noted(drives: list[str], note: str) -> None:
+    """It can be simulated, and is worth a word."""
+    assert list(notes(from_options(drives))) == [note]
+
+
+def test_what_is_usual_is_not_noted() -> None:
+    """Number 0 and 99 are usual with TOSHIBA, 247 is with MODBUS-RTU."""
+    assert list(notes(from_options(["0:vf-nc3:toshiba", "99:vf-mb1:toshiba", "247:vf-nc3"]))) == []

@@ -1,0 +1,68 @@
+"""The frames of a line as a capture file that Wireshark reads: each one in a UDP packet, so that its way is known."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+from gateway.errors import GatewayError
+from gateway.sim.journal import Entry, Way
+from gateway.sim.modbus import is_whole
+
+MAGIC, VERSION = 0xA1B2C3D4, (2, 4)  # pcap, times in microseconds
+LONGEST = 65_535  # bytes of a packet
+LONGEST_FRAME = 4096  # bytes of a frame that are kept: more is no frame of these drives
+LINKTYPE_IPV4 = 228
+MASTER, LINE = bytes((192, 0, 2, 1)), bytes((192, 0, 2, 2))  # RFC 5737: for documentation
+MASTER_PORT = 40_000
+MODBUS_PORT = 502
+TOSHIBA_PORT = 829  # F829 chooses the protocol
+TOSHIBA_STARTS = (b"(", b"/")
+UDP, TIME_TO_LIVE, VERSION_AND_LENGTH = 17, 64, 0x45
+
+
+def header() -> bytes:
+    """Return what a capture file begins with."""
+    return struct.pack("<IHHiIII", MAGIC, *VERSION, 0, 0, LONGEST, LINKTYPE_IPV4)
+
+
+def record(entry: Entry, opened: float) -> bytes:
+    """Return the record of a frame, at the time of its end, in seconds since the line was opened."""
+    is_toshiba = entry.data.startswith(TOSHIBA_STARTS) and not is_whole(entry.data)
+    data = entry.data[:LONGEST_FRAME]
+    line_port = TOSHIBA_PORT if is_toshiba else MODBUS_PORT
+    if entry.way is Way.REQUEST:
+        packet = _packet(MASTER, MASTER_PORT, LINE, line_port, data)
+    else:
+        packet = _packet(LINE, line_port, MASTER, MASTER_PORT, data)
+    whole, microseconds = divmod(round((entry.end - opened) * 1e6), 1_000_000)
+    return struct.pack("<IIII", whole, microseconds, len(packet), len(packet)) + packet
+
+
+def _packet(source: bytes, source_port: int, target: bytes, target_port: int, data: bytes) -> bytes:
+    datagram = struct.pack(">HHHH", source_port, target_port, 8 + len(data), 0) + data
+    head = struct.pack(">BBHHHBBH", VERSION_AND_LENGTH, 0, 20 + len(datagram), 0, 0, TIME_TO_LIVE, UDP, 0)
+    return head + source + target + datagram
+
+
+class Capture:
+    """A capture file that is being written, of requests and of what the master hears."""
+
+    def __init__(self, path: Path, opened: float) -> None:
+        self._opened = opened
+        self._file = path.open("wb")
+        self._file.write(header())
+        self._file.flush()
+
+    def write(self, entry: Entry) -> None:
+        """Write an entry of the journal, where it is a frame on the line."""
+        if entry.way in (Way.REQUEST, Way.HEARD) and entry.data:
+            try:
+                self._file.write(record(entry, self._opened))
+                self._file.flush()
+            except OSError as error:
+                raise GatewayError(f"the capture cannot be written: {error}") from error
+
+    def close(self) -> None:
+        """End the file."""
+        self._file.close()

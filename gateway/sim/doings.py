@@ -1,0 +1,302 @@
+"""What can be done to a simulated line: one table, for the events of a scenario and for its control socket."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field, model_validator
+
+from gateway.config import Section, ValueName
+from gateway.sim.drive import SimulatedDrive
+from gateway.sim.faults import BABBLE, Fault, Kind
+from gateway.sim.installation import Installation, WrongRequest
+from gateway.sim.quantities import Amount, DriveKey, Hertz, Number, Span, Word, is_whole
+
+SECONDS_OF = (Kind.LATE, Kind.DUPLICATE, Kind.SPLIT)
+COUNTS_OF = {Kind.REQUEST_FLIP: "bits", Kind.FLIP: "bits", Kind.TRUNCATE: "bytes", Kind.BABBLE: "bytes"}
+OF_THE_LINE = (Kind.ECHO,)  # an adapter's, whichever drive answers
+
+
+class FaultSection(Section):
+    """A fault; `value` is seconds, bytes or bits, as its kind wants."""
+
+    kind: Kind = Field(strict=False)
+    value: Amount | None = Field(None, description="a number, or two between which one is drawn each time")
+    probability: float = Field(1.0, ge=0, le=1)
+    count: int | None = Field(None, ge=1, description="how often it strikes; without end by default")
+    after: Span = Field(0.0, ge=0, description="since the line was opened, or since the fault began")
+    until: Span | None = Field(None, gt=0, description="the same")
+
+    @model_validator(mode="after")
+    def _fits_its_kind(self) -> FaultSection:
+        kind = self.kind.value
+        if self.value is not None and self.kind not in (*SECONDS_OF, *COUNTS_OF):
+            raise ValueError(f"{kind} takes no value")
+        if self.kind in COUNTS_OF and not is_whole(self.value):
+            raise ValueError(f"the value of {kind} counts {COUNTS_OF[self.kind]}: a whole number is wanted")
+        if self.until is not None and self.until <= self.after:
+            raise ValueError("until is to be later than after")
+        return self
+
+    def fault(self, drive: SimulatedDrive | None, now: float) -> Fault:
+        """Return the fault of a drive or, without one, of the line; its times are counted from now."""
+        until = float("inf") if self.until is None else now + self.until
+        return Fault(self.kind, drive, self.value, self.probability, self.count, now + self.after, until)
+
+
+class Doing(Section):
+    """Something that is done to the line at a moment; its fields are what it takes."""
+
+    do: str
+
+    def act(self, line: Installation, now: float) -> Any:
+        """Do it; WrongRequest says why not."""
+        raise NotImplementedError
+
+    def __str__(self) -> str:
+        table = self.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude={"do"})
+        return " ".join([self.do, *(f"{key}={_shown(value)}" for key, value in table.items())])
+
+
+class OfDrive(Doing):
+    """Something that is done to one drive."""
+
+    drive: DriveKey
+
+    def act(self, line: Installation, now: float) -> Any:
+        """Do it to the drive as it is now."""
+        return self.act_on(line.drive(self.drive, now), now)
+
+    def act_on(self, drive: SimulatedDrive, now: float) -> Any:
+        """Do it; WrongRequest says why not."""
+        raise NotImplementedError
+
+
+class Trip(OfDrive):
+    """Trips a drive; one that is tripped stays as it is."""
+
+    do: Literal["trip"] = "trip"
+    code: int = Field(ge=1, le=0xFF, description="as FC90 reads it")
+
+    def act_on(self, drive: SimulatedDrive, now: float) -> None:
+        """Trip it."""
+        drive.inverter.trip(self.code)
+
+
+class Alarm(OfDrive):
+    """Sets the alarms that a drive reports; 0 ends them."""
+
+    do: Literal["alarm"] = "alarm"
+    value: Word = Field(description="as FC91 reads them")
+
+    def act_on(self, drive: SimulatedDrive, now: float) -> None:
+        """Set them."""
+        drive.inverter.condition.alarm = self.value
+
+
+class Run(OfDrive):
+    """Presses RUN at the panel with its frequency; 0 Hz presses STOP."""
+
+    do: Literal["run"] = "run"
+    frequency: Hertz
+    reverse: bool = False
+
+    def act_on(self, drive: SimulatedDrive, now: float) -> None:
+        """Press it."""
+        drive.inverter.run_by_panel(self.frequency, is_reverse=self.reverse)
+
+
+class OfRegister(OfDrive):
+    """Something that is done to a register of a drive."""
+
+    register_: ValueName = Field(alias="register", description="by its name in the catalogue")
+
+
+class SetRegister(OfRegister):
+    """Sets a register at the panel: no protection applies, and no write to the EEPROM is counted."""
+
+    do: Literal["set"] = "set"
+    value: Word
+
+    def act_on(self, drive: SimulatedDrive, now: float) -> None:
+        """Set it."""
+        drive.set_by_panel(known(drive, self.register_), self.value)
+
+
+class Force(OfRegister):
+    """Makes a register read that word, whatever is true; without a value it reads what is true again."""
+
+    do: Literal["force"] = "force"
+    value: Word | None = None
+
+    def act_on(self, drive: SimulatedDrive, now: float) -> None:
+        """Force it, or let it go."""
+        drive.force(known(drive, self.register_), self.value)
+
+
+class Renumber(OfDrive):
+    """Sets F802 at the panel; it acts at once."""
+
+    do: Literal["renumber"] = "renumber"
+    number: Number
+
+    def act_on(self, drive: SimulatedDrive, now: float) -> None:
+        """Set it."""
+        register = drive.inverter.role("number")
+        if not register:
+            raise WrongRequest(f"the register of the number of {drive.model.name} is not known")
+        drive.set_by_panel(register, self.number)
+
+
+class PowerCycle(Doing):
+    """Switches a drive, or all, off for so long; then it starts up, deaf for about a second."""
+
+    do: Literal["power_cycle"] = "power_cycle"
+    drive: DriveKey | None = None
+    seconds: float = Field(0.0, ge=0)
+
+    def act(self, line: Installation, now: float) -> None:
+        """Switch off and on."""
+        for drive in line.drives(self.drive, now):
+            drive.inverter.reset(now, off=self.seconds)
+
+
+class Switched(Doing):
+    """A lasting fault of a drive or, without one, of the line, that is switched on and off."""
+
+    drive: DriveKey | None = None
+    on: bool = Field(True, description="false ends it")
+    kind: ClassVar[Kind]
+
+    def act(self, line: Installation, now: float) -> None:
+        """Begin it once, or end it."""
+        drive = None if self.drive is None else line.drive(self.drive, now)
+        line.wire.faults.clear(whose(drive), self.kind)
+        if self.on:
+            line.wire.faults.add(Fault(self.kind, drive))
+
+
+class Cut(Switched):
+    """Cuts the wire to a drive, or of the whole line: requests do not arrive."""
+
+    do: Literal["cut"] = "cut"
+    kind: ClassVar[Kind] = Kind.CUT
+
+
+class Silence(Switched):
+    """Lets a drive, or all, hear and obey without answering."""
+
+    do: Literal["silence"] = "silence"
+    kind: ClassVar[Kind] = Kind.DROP
+
+
+class BeginFault(FaultSection, Doing):
+    """Begins a fault of a drive or, without one, of the line."""
+
+    do: Literal["fault"] = "fault"
+    drive: DriveKey | None = None
+
+    @model_validator(mode="after")
+    def _has_its_place(self) -> BeginFault:
+        if self.drive is not None and self.kind in OF_THE_LINE:
+            raise ValueError(f"{self.kind.value} is a fault of the line: it takes no drive")
+        return self
+
+    def act(self, line: Installation, now: float) -> None:
+        """Let it begin now."""
+        drive = None if self.drive is None else line.drive(self.drive, now)
+        line.wire.faults.add(self.fault(drive, now))
+
+
+class ClearFaults(Doing):
+    """Ends faults: of a drive, of a kind, both, or all; says how many."""
+
+    do: Literal["clear_faults"] = "clear_faults"
+    drive: DriveKey | None = None
+    kind: Kind | None = Field(None, strict=False)
+
+    def act(self, line: Installation, now: float) -> int:
+        """End them."""
+        everybody = None if self.drive is None else whose(line.drive(self.drive, now))
+        return line.wire.faults.clear(everybody, self.kind)
+
+
+class Babble(Doing):
+    """Puts noise on the line at once."""
+
+    do: Literal["babble"] = "babble"
+    bytes: Amount = Field(float(BABBLE), description="how many, or two numbers between which that is drawn")
+
+    @model_validator(mode="after")
+    def _counts(self) -> Babble:
+        if not is_whole(self.bytes):
+            raise ValueError("bytes counts bytes: a whole number is wanted")
+        return self
+
+    def act(self, line: Installation, now: float) -> None:
+        """Babble."""
+        line.wire.babble(line.wire.faults.counted(self.bytes), now)
+
+
+class Unplug(Doing):
+    """Pulls the adapter out: whoever has the port open gets errors."""
+
+    do: Literal["unplug"] = "unplug"
+
+    def act(self, line: Installation, now: float) -> None:
+        """Pull it out."""
+        line.port.unplug()
+        line.wire.clear()
+
+
+class Plug(Doing):
+    """Puts the adapter back, under a new name that the link follows; says the name."""
+
+    do: Literal["plug"] = "plug"
+
+    def act(self, line: Installation, now: float) -> str:
+        """Put it back."""
+        line.port.plug()
+        return line.port.name
+
+
+class StartCapture(Doing):
+    """Writes the frames from now on to a file for Wireshark; without a file it ends."""
+
+    do: Literal["capture"] = "capture"
+    file: str | None = None
+
+    def act(self, line: Installation, now: float) -> None:
+        """Begin or end it."""
+        try:
+            line.capture(Path(self.file) if self.file else None)
+        except OSError as error:
+            raise WrongRequest(f"file: {error}") from error
+
+
+def _shown(value: object) -> str:
+    """Write an argument as short as it was given."""
+    if isinstance(value, list):
+        return f"[{', '.join(map(_shown, value))}]"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def whose(drive: SimulatedDrive | None) -> tuple[object, ...]:
+    """Return by what a drive's faults go: itself, or the number it has now; none for the line's own."""
+    return () if drive is None else (drive, drive.number)
+
+
+def known(drive: SimulatedDrive, name: str) -> str:
+    """Return the name of a register that the drive has; WrongRequest where it has none of that name."""
+    if not drive.inverter.memory.has(name):
+        model = drive.model.name
+        raise WrongRequest(f"{model} has no register {name!r}; `tosvert-gateway registers {model}` lists them")
+    return name
+
+
+AnyDoing = Annotated[
+    Trip | Alarm | Run | SetRegister | Force | Renumber | PowerCycle | Cut | Silence | BeginFault | ClearFaults
+    | Babble | Unplug | Plug | StartCapture,
+    Field(discriminator="do"),
+]  # fmt: skip
