@@ -51,10 +51,10 @@ BLOCK_WORDS = range(2, 6)  # 5.1.2
 BLOCK_WRITE_WORDS = range(2, 3)  # 5.1.5
 READ_CODES = range(4)  # 5.1.7
 
-IDENTITY_HEADER = 8  # number, function, MEI type, code, conformity, frames, next object, number of objects
+IDENTITY_HEADER = 8  # number, function, MEI type, read code, and the fixed bytes
+IDENTITY_FIXED = b"\x01\x00\x00\x03"  # conformity, no further frames, no next object, three objects
+OBJECTS = range(3)  # vendor, device, version
 LONGEST_IDENTITY = 64  # characters; the printed ones have 35 and 37
-CONFORMITY = frozenset((0x01, 0x02, 0x03, 0x81, 0x82, 0x83))  # MODBUS Application Protocol V1.1b3 6.21
-ONLY_FRAME = b"\x00\x00"  # no more frames, no next object
 
 REFUSALS = {
     1: Refusal.COMMAND,
@@ -139,7 +139,7 @@ def _normal(body: bytes, request: Request) -> Shape:
     head = body[:2]
     match request:
         case Identify():
-            return Shape(body[:4], LONGEST_IDENTITY, _identity, _identity_size)
+            return Shape(body[:4] + IDENTITY_FIXED, LONGEST_IDENTITY, _identity, _identity_size)
         case ReadWords() | ReadBlock():
             return Shape(head + bytes((2 * request.count,)), 5 + 2 * request.count, _words)
         case Exchange():
@@ -170,28 +170,26 @@ def _refusal(target: Target, frame: bytes) -> Said | None:
 
 
 def _identity_size(beginning: bytes) -> int:
-    """Walk the objects of an identification, which alone tell its length; 0 where a fixed field is wrong."""
-    if len(beginning) < IDENTITY_HEADER:
-        return IDENTITY_HEADER
-    if beginning[4] not in CONFORMITY or beginning[5:7] != ONLY_FRAME:
-        return 0
+    """Walk the objects of an identification, which alone tell its length; 0 where they cannot be those of a drive."""
     size = IDENTITY_HEADER
-    for _ in range(beginning[7]):
-        size += 2
+    for place in OBJECTS:
+        size += 2  # the object's number and length
         if size > len(beginning):
             break
+        if beginning[size - 2] != place:
+            return 0
         size += beginning[size - 1]
     size += 2
     return size if size <= LONGEST_IDENTITY else 0
 
 
 def _identity(frame: bytes) -> Said | None:
-    if not _is_sound(frame):
+    texts, at = [], IDENTITY_HEADER
+    for _ in OBJECTS:
+        end = at + 2 + frame[at + 1]
+        texts.append(frame[at + 2 : end])
+        at = end
+    if not _is_sound(frame) or not all(text.isascii() for text in texts):
         return None
-    objects: dict[int, str] = {}
-    at = IDENTITY_HEADER
-    while at < len(frame) - 2:
-        number, size = frame[at : at + 2]
-        objects[number] = frame[at + 2 : at + 2 + size].decode("ascii", "replace")
-        at += 2 + size
-    return Identity(objects.get(0, ""), objects.get(1, ""), objects.get(2, ""))
+    vendor, device, version = (text.decode("ascii") for text in texts)
+    return Identity(vendor, device, version)

@@ -1,4 +1,4 @@
-"""The CRC against the manuals' frames and against the standard's check value."""
+"""The checksums against the manuals' frames, and the CRC against the standard's check value."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.protocol.checksum import crc16
+from gateway.protocol.checksum import crc16, sum8
 from tests import frames
 
-PRINTED = [frame for frame in frames.FRAMES if frame.protocol == "modbus-rtu"]
+PRINTED = [frame for frame in frames.FRAMES if frame.protocol == frames.RTU]
+SUMMED = [frame for frame in frames.FRAMES if frame.protocol == frames.BINARY]
+WRONG_ON_PURPOSE = "2F 58 02 05 C4 00 17 70 D8"  # to show what a drive says to it
 
 
 @pytest.mark.parametrize("frame", PRINTED, ids=lambda frame: frame.data.hex())
@@ -31,3 +33,14 @@ def test_a_flipped_bit_is_always_noticed(body: bytes, position: int) -> None:
     bit = position % (8 * len(frame))
     frame[bit // 8] ^= 1 << bit % 8
     assert crc16(frame[:-2]) != frame[-2:]
+
+
+@pytest.mark.parametrize("frame", SUMMED, ids=lambda frame: frame.data.hex())
+def test_every_printed_binary_frame_ends_in_its_sum_but_the_one_that_is_wrong_on_purpose(frame: frames.Frame) -> None:
+    """E6581657 4.1.2."""
+    assert (sum8(frame.data[:-1]) == frame.data[-1]) is (frame.hex != WRONG_ON_PURPOSE)
+
+
+def test_the_printed_sum_of_a_text() -> None:
+    """E6581657 4.1.1 works it out: 160H, of which 60 is sent."""
+    assert sum8(b"(R0000&") == 0x60

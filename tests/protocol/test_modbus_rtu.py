@@ -1,193 +1,267 @@
-"""The MODBUS-RTU codec: the manuals' frames whole, in pieces, with junk around, and what it must not accept."""
+"""MODBUS-RTU: what it has and has not, whom it addresses, and what its answers must repeat."""
 
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from gateway.errors import Refusal, Refused
-from gateway.protocol.checksum import crc16
-from gateway.protocol.modbus_rtu import MAX_ADU, ModbusRtu
-from gateway.protocol.pdu import Identify, Identity, ReadBlock, ReadWords, Reply, Request, Words
-from tests import frames
+from gateway.errors import Refusal
+from gateway.protocol.codec import Answering, Forms, NoSuchForm
+from gateway.protocol.modbus_rtu import LONGEST_IDENTITY, ModbusRtu
+from gateway.protocol.pdu import (
+    EVERY_DRIVE,
+    Exchange,
+    Exchanged,
+    Group,
+    Identify,
+    Identity,
+    Proportional,
+    ReadBlock,
+    ReadWords,
+    Request,
+    WriteBlock,
+    WriteRam,
+    WriteStored,
+    Written,
+)
+from gateway.protocol.registry import PROTOCOLS
+from tests.protocol.drive_side import Content, Denied, Heard, crc, heard
+from tests.protocol.modbus_dialect import Rtu
 
 CODEC = ModbusRtu()
-
-REQUESTS: list[tuple[str, Request]] = [
-    ("01 03 FD 00 00 01 B5 A6", ReadWords(1, 0xFD00)),
-    ("01 03 FD 00 00 02 F5 A7", ReadWords(1, 0xFD00, 2)),
-    ("01 03 18 75 00 05 92 B3", ReadBlock(1, 0x1875, 5)),
-    ("01 03 18 75 00 02 D3 71", ReadBlock(1, 0x1875, 2)),
-    ("01 03 18 75 00 06 D2 B2", ReadWords(1, 0x1875, 6)),
-    ("01 03 18 76 00 02 23 71", ReadBlock(1, 0x1876, 2)),
-    ("01 03 01 30 00 05 84 3A", ReadWords(1, 0x0130, 5)),
-    ("01 2B 0E 01 00 70 77", Identify(1)),
-]
-NC3 = Identity("TOSHIBA", "VFnC3-2007P", "0100")
-REPLIES: list[tuple[Request, str, Reply]] = [
-    (ReadWords(1, 0xFD00), "01 03 02 17 70 B6 50", Words((6000,))),
-    (
-        ReadBlock(1, 0x1875, 5),
-        "01 03 0A E4 04 17 70 00 00 26 FF 00 80 58 00",
-        Words((0xE404, 6000, 0, 0x26FF, 0x80)),
-    ),
-    (ReadBlock(1, 0x1875, 2), "01 03 04 E4 04 17 70 83 16", Words((0xE404, 6000))),
-    (ReadBlock(1, 0x1875, 2), "01 03 04 00 00 17 70 F4 27", Words((0, 6000))),
-    (
-        ReadWords(1, 0x0130, 5),
-        "01 03 0A 00 04 80 00 00 0A 80 00 80 00 CE 17",
-        Words((4, 0x8000, 10, 0x8000, 0x8000)),
-    ),
-    (
-        ReadWords(1, 0x0130, 5),
-        "01 03 0A 00 04 00 06 00 0A 80 00 80 00 A0 77",
-        Words((4, 6, 10, 0x8000, 0x8000)),
-    ),
-    (
-        Identify(1),
-        "01 2B 0E 01 01 00 00 03 00 07 54 4F 53 48 49 42 41 01 0B 56 46 6E 43 33 2D 32 30 30 37 50"
-        " 02 04 30 31 30 30 38 2C",
-        NC3,
-    ),
-]
+BY_10H = ModbusRtu(writes_by_10h=True)
+FAULT_RESET = WriteRam(1, 0xFA00, 0xA000, is_answered=False)
+EXCHANGE = Exchange(1, 0x1875, 5, 0x1870, (0xC400, 6000))
 
 
-def decode(request: Request, *pieces: bytes) -> Reply | None:
-    """Feed pieces to a fresh decoder and return the first reply."""
-    decoder = CODEC.decoder(request)
-    for piece in pieces:
-        decoder.feed(piece)
-        if (reply := decoder.next_reply()) is not None:
-            return reply
-    return None
+def sealed(printed: str) -> bytes:
+    """Return a frame from its bytes without CRC."""
+    body = bytes.fromhex(printed)
+    return body + crc(body)
 
 
-@pytest.mark.parametrize(("printed", "request_"), REQUESTS, ids=[text for text, _ in REQUESTS])
-def test_requests_are_the_printed_frames(printed: str, request_: Request) -> None:
-    """Every read that the manuals print."""
-    assert CODEC.encode(request_) == bytes.fromhex(printed)
+def hear(request: Request, *frames: bytes, codec: ModbusRtu = CODEC) -> list[Heard]:
+    """Return what frames and the silence behind them say to a request."""
+    return heard(codec.decoder(request), [*frames, b""])
 
 
-def test_every_printed_read_is_in_these_tables() -> None:
-    """No printed 03H or 2BH frame is left out."""
-    here = {bytes.fromhex(text) for text, _ in REQUESTS} | {bytes.fromhex(text) for _, text, _ in REPLIES}
-    for frame in frames.FRAMES:
-        if frame.protocol == "modbus-rtu" and frame.data[1] in (0x03, 0x2B) and frame.hex not in frames.MISPRINTED:
-            assert frame.data in here, frame.meaning
+def test_what_the_protocol_has() -> None:
+    """E6581657 5.1; no write that spares the EEPROM, and no word on a trip in an answer."""
+    assert CODEC.forms == Forms(
+        range(1, 248), has_direct_block=True, has_block=True, has_exchange=True, has_identification=True
+    )
+    assert PROTOCOLS[CODEC.name] == CODEC
 
 
-@pytest.mark.parametrize(("request_", "printed", "reply"), REPLIES, ids=[text for _, text, _ in REPLIES])
-class TestReplies:
-    def test_whole(self, request_: Request, printed: str, reply: Reply) -> None:
-        """A whole frame is its reply, and its size was foreseen."""
-        frame = bytes.fromhex(printed)
-        assert decode(request_, frame) == reply
-        assert len(frame) <= CODEC.answer_size(request_)
-
-    def test_byte_by_byte(self, request_: Request, printed: str, reply: Reply) -> None:
-        """Nothing before the last byte, the reply with it."""
-        frame = bytes.fromhex(printed)
-        decoder = CODEC.decoder(request_)
-        for position in range(len(frame)):
-            assert decoder.next_reply() is None
-            decoder.feed(frame[position : position + 1])
-        assert decoder.next_reply() == reply
-
-    @pytest.mark.hazard("H15")
-    def test_behind_the_adapters_echo(self, request_: Request, printed: str, reply: Reply) -> None:
-        """The request that an adapter echoes is passed over."""
-        assert decode(request_, CODEC.encode(request_), bytes.fromhex(printed)) == reply
-        assert decode(request_, CODEC.encode(request_)) is None
-
-    def test_between_junk(self, request_: Request, printed: str, reply: Reply) -> None:
-        """Glitches of the turnaround in front, noise behind."""
-        assert decode(request_, b"\xff\x00", bytes.fromhex(printed) + b"\x55\xaa") == reply
-
-    @pytest.mark.hazard("H16")
-    def test_not_from_another_drive_nor_for_another_request(
-        self, request_: Request, printed: str, reply: Reply
-    ) -> None:
-        """Number, function and count must match: the frame answers no other request."""
-        frame = bytes.fromhex(printed)
-        others: list[Request] = [ReadWords(2, 0xFD00), ReadBlock(2, 0x1875, 5), Identify(2), ReadWords(1, 0xFD00, 3)]
-        assert all(decode(other, frame) is None for other in others)
-
-    @pytest.mark.hazard("H17")
-    def test_no_flipped_bit_is_accepted(self, request_: Request, printed: str, reply: Reply) -> None:
-        """Each bit of the frame flipped in turn: never a reply."""
-        frame = bytes.fromhex(printed)
-        for bit in range(8 * len(frame)):
-            broken = bytearray(frame)
-            broken[bit // 8] ^= 1 << bit % 8
-            assert decode(request_, bytes(broken)) is None
+def test_the_exchange_is_17_bytes_long() -> None:
+    """17H: read from 1875H, write two words to 1870H, four bytes; no manual prints one."""
+    assert CODEC.encode(EXCHANGE) == sealed("01 17 18 75 00 05 18 70 00 02 04 C4 00 17 70")
+    assert len(CODEC.encode(EXCHANGE)) == 17
+    answer = sealed("01 17 0A E4 04 17 70 00 00 26 FF 00 80")
+    assert hear(EXCHANGE, answer) == [Exchanged((0xE404, 6000, 0, 0x26FF, 0x80))]
+    assert hear(EXCHANGE, sealed("01 97 03")) == [Denied(Refusal.RANGE, None)]
 
 
-def test_the_misprinted_identification_is_refused_and_the_right_one_read() -> None:
-    """The VF-MB1 manual's answer ends in 9A CC; its CRC is B6 0C."""
-    printed = next(frame.data for frame in frames.FRAMES if frame.hex in frames.MISPRINTED)
-    assert decode(Identify(1), printed) is None
-    assert decode(Identify(1), printed[:-2] + bytes.fromhex("B60C")) == Identity("TOSHIBA", "VFMB1S-2004PL", "0102")
+@pytest.mark.parametrize("request_", [WriteRam(1, 0xFA01, 6000), WriteStored(1, 0xFA01, 6000)])
+def test_a_single_write_is_06h_or_10h(request_: Request) -> None:
+    """The two forms of E6581657 5.1.4."""
+    assert CODEC.encode(request_) == sealed("01 06 FA 01 17 70")
+    assert BY_10H.encode(request_) == sealed("01 10 FA 01 00 01 02 17 70")
+
+
+@pytest.mark.hazard("H16")
+@pytest.mark.parametrize(
+    "wrong", ["02 06 FA 01 17 70", "01 06 FA 00 17 70", "01 06 FA 01 17 71", "01 86 FA 01 17 70"]
+)
+def test_an_answer_to_06h_repeats_number_address_and_word(wrong: str) -> None:
+    """Any other word or address is not this write's."""
+    assert hear(WriteRam(1, 0xFA01, 6000), sealed(wrong)) == []
+
+
+@pytest.mark.hazard("H16")
+@pytest.mark.parametrize(
+    "wrong",
+    ["02 10 18 70 00 02", "01 10 18 71 00 02", "01 10 18 70 00 01", "01 06 18 70 00 02"],
+)
+def test_an_answer_to_10h_repeats_number_address_and_count(wrong: str) -> None:
+    """Any other address or count is not this write's."""
+    request = WriteBlock(1, 0x1870, (1, 2))
+    assert hear(request, sealed(wrong)) == []
+    assert hear(request, sealed("01 10 18 70 00 02")) == [Written()]
+
+
+@pytest.mark.hazard("H16")
+@pytest.mark.parametrize(
+    "wrong",
+    ["02 03 04 00 01 00 02", "01 03 02 00 01", "01 17 04 00 01 00 02", "01 03 04 00 01 00"],
+)
+def test_an_answer_to_03h_repeats_number_and_count(wrong: str) -> None:
+    """The byte count is twice the words asked for."""
+    assert hear(ReadWords(1, 0xFD00, 2), sealed(wrong)) == []
+
+
+@pytest.mark.hazard("H15")
+def test_the_echo_of_10h_is_not_its_answer_even_where_its_beginning_is_one() -> None:
+    """The first eight bytes of this very request are a sound answer; silence decides for the answer."""
+    number, address, word = 1, *_write_that_begins_as_its_answer()
+    request = WriteRam(number, address, word)
+    echo = BY_10H.encode(request)
+    answer = Rtu(writes_by_10h=True).frame(request, Content())
+    assert echo.startswith(answer)
+    assert hear(request, echo, codec=BY_10H) == []
+    assert hear(request, echo, answer, codec=BY_10H) == [Written()]
+    decoder = BY_10H.decoder(request)
+    assert heard(decoder, [answer]) == []
+    assert heard(decoder, [b""]) == [Written()]
+
+
+def _write_that_begins_as_its_answer() -> tuple[int, int]:
+    for address in range(0x10000):
+        low, high = sealed(f"01 10 {address:04X} 00 01")[-2:]
+        if low == 2:  # the byte count of the request stands there
+            return address, high << 8
+    raise AssertionError("one address in 256 has such an answer")
 
 
 @pytest.mark.parametrize(
     ("code", "reason"),
-    [(1, Refusal.COMMAND), (2, Refusal.ADDRESS), (3, Refusal.RANGE), (4, Refusal.UNABLE), (9, Refusal.OTHER)],
+    [
+        (1, Refusal.COMMAND),
+        (2, Refusal.ADDRESS),
+        (3, Refusal.RANGE),
+        (4, Refusal.UNABLE),
+        (0, Refusal.OTHER),
+        (9, Refusal.OTHER),
+    ],
 )
-def test_error_codes_are_refusals(code: int, reason: Refusal) -> None:
-    """E6581657 5.3: error codes 01 to 04."""
-    body = bytes((1, 0x83, code))
-    decoder = CODEC.decoder(ReadWords(1, 0xFD00))
-    decoder.feed(body + crc16(body))
-    with pytest.raises(Refused) as refused:
-        decoder.next_reply()
-    assert refused.value.reason is reason
-
-
-def test_the_printed_refusal() -> None:
-    """Error 03 for two words from FD00."""
-    decoder = CODEC.decoder(ReadWords(1, 0xFD00, 2))
-    decoder.feed(bytes.fromhex("01 83 03 01 31"))
-    with pytest.raises(Refused, match="error 03"):
-        decoder.next_reply()
-
-
-numbers = st.integers(1, 247)
-requests = st.one_of(
-    st.builds(ReadWords, numbers, st.integers(0, 0xFFF8), st.integers(1, 8)),
-    st.builds(ReadBlock, numbers, st.just(0x1875), st.integers(2, 5)),
-    st.builds(Identify, numbers),
+@pytest.mark.parametrize(
+    ("request_", "function"),
+    [
+        (ReadWords(1, 0xFD00), 0x83),
+        (WriteRam(1, 0xFA00, 0), 0x86),
+        (FAULT_RESET, 0x86),
+        (WriteBlock(1, 0x1870, (0, 0)), 0x90),
+        (EXCHANGE, 0x97),
+        (Identify(1), 0xAB),
+    ],
 )
+def test_error_codes_are_refusals(request_: Request, function: int, code: int, reason: Refusal) -> None:
+    """E6581657 5.3: the function and 80H, error codes 01 to 04."""
+    assert hear(request_, sealed(f"01 {function:02X} {code:02X}")) == [Denied(reason, None)]
+    assert hear(request_, sealed(f"01 {function ^ 1:02X} {code:02X}")) == []
 
 
-@pytest.mark.hazard("H17")
-@given(requests, st.binary(max_size=600))
-def test_random_bytes_are_no_reply_and_no_surprise(request_: Request, noise: bytes) -> None:
-    """Whatever comes, the decoder neither raises nor grows; a refusal needs a sound frame."""
-    decoder = CODEC.decoder(request_)
-    try:
-        for start in range(0, len(noise), 7):
-            decoder.feed(noise[start : start + 7])
-            reply = decoder.next_reply()
-            assert reply is None or _is_sound(request_, noise)
-    except Refused:
-        assert _is_sound(request_, noise)
-    assert len(decoder.received) <= 2 * MAX_ADU
+class TestEveryDrive:
+    @pytest.mark.parametrize(
+        ("request_", "printed"),
+        [
+            (WriteRam(EVERY_DRIVE, 0xFA01, 6000), "00 06 FA 01 17 70"),
+            (WriteStored(EVERY_DRIVE, 0x0010, 100), "00 06 00 10 00 64"),
+            (WriteBlock(EVERY_DRIVE, 0x1870, (0xC400, 6000)), "00 10 18 70 00 02 04 C4 00 17 70"),
+        ],
+    )
+    def test_is_written_to_by_number_0_and_never_answers(self, request_: Request, printed: str) -> None:
+        """E6581657 5: no response is returned by any inverter."""
+        frame = CODEC.encode(request_)
+        assert frame == sealed(printed)
+        assert CODEC.answering(request_) is Answering.NEVER
+        assert (CODEC.answer_size(request_), CODEC.least_answer(request_)) == (0, 0)
+        assert hear(request_, frame, sealed("00 86 02")) == []
+
+    @pytest.mark.parametrize(
+        "request_",
+        [
+            ReadWords(EVERY_DRIVE, 0xFD00),
+            ReadBlock(EVERY_DRIVE, 0x1875, 2),
+            Exchange(EVERY_DRIVE, 0x1875, 2, 0x1870, (0, 0)),
+            Identify(EVERY_DRIVE),
+        ],
+    )
+    def test_is_not_read(self, request_: Request) -> None:
+        """Nobody would answer."""
+        with pytest.raises(NoSuchForm, match="number 0 is for writes only"):
+            CODEC.encode(request_)
 
 
-def _is_sound(request_: Request, noise: bytes) -> bool:
-    """Say whether the noise holds, by chance, a whole frame of that drive with a right CRC."""
-    starts = [i for i, byte in enumerate(noise) if byte == request_.number]
-    return any(crc16(noise[s : e - 2]) == noise[e - 2 : e] for s in starts for e in range(s + 5, len(noise) + 1))
+@pytest.mark.hazard("H09")
+def test_a_fault_reset_is_only_refused() -> None:
+    """What looks like its answer can only be the adapter's echo."""
+    assert CODEC.answering(FAULT_RESET) is Answering.MAYBE
+    assert (CODEC.answer_size(FAULT_RESET), CODEC.least_answer(FAULT_RESET)) == (0, 5)
+    assert hear(FAULT_RESET, CODEC.encode(FAULT_RESET)) == []
+    assert hear(FAULT_RESET, CODEC.encode(FAULT_RESET) + sealed("01 86 04")) == [Denied(Refusal.UNABLE, None)]
 
 
-@given(numbers, st.integers(0, 0xFFF8), st.lists(st.integers(0, 0xFFFF), min_size=1, max_size=8), st.data())
-def test_words_come_back_as_sent_however_they_are_cut(
-    number: int, address: int, words: list[int], data: st.DataObject
-) -> None:
-    """Round trip through a frame built from the standard, in random pieces, with junk in front."""
-    body = bytes((number, 3, 2 * len(words))) + b"".join(word.to_bytes(2, "big") for word in words)
-    frame = body + crc16(body)
-    cut = data.draw(st.integers(0, len(frame)))
-    junk = data.draw(st.binary(max_size=5).filter(lambda junk: number not in junk))
-    assert decode(ReadWords(number, address, len(words)), junk, frame[:cut], frame[cut:]) == Words(tuple(words))
+class TestIdentification:
+    @pytest.mark.parametrize("code", range(4))
+    def test_has_four_read_codes_and_answers_with_the_one_asked_for(self, code: int) -> None:
+        """E6581657 5.1.7; the VF-MB1 manual prints the CRC of code 00."""
+        assert CODEC.encode(Identify(1, code)) == sealed(f"01 2B 0E {code:02X} 00")
+        answer = Rtu().frame(Identify(1, code), Content())
+        assert hear(Identify(1, code), answer) == [Identity("TOSHIBA", "VFnC3-2007P", "0100")]
+        assert hear(Identify(1, (code + 1) % 4), answer) == []
+
+    @pytest.mark.parametrize(
+        ("fixed", "what"),
+        [
+            ("00 00 00 03", "conformity"),
+            ("01 FF 00 03", "more frames"),
+            ("01 00 03 03", "next object"),
+            ("01 00 00 02", "count"),
+        ],
+    )
+    def test_must_have_its_fixed_bytes(self, fixed: str, what: str) -> None:
+        """Conformity 01, no more frames, no next object, three objects."""
+        assert hear(Identify(1), sealed(f"01 2B 0E 01 {fixed} 00 01 41 01 01 42 02 01 43")) == [], what
+        assert hear(Identify(1), sealed("01 2B 0E 01 01 00 00 03 00 01 41 01 01 42 02 01 43")) != []
+
+    @pytest.mark.parametrize(
+        "objects", ["01 01 41 00 01 42 02 01 43", "00 01 41 01 01 42", "00 01 41 01 01 80 02 01 43"]
+    )
+    def test_must_have_three_objects_of_ascii_text_in_order(self, objects: str) -> None:
+        """Vendor, device, version."""
+        assert hear(Identify(1), sealed(f"01 2B 0E 01 01 00 00 03 {objects}")) == []
+
+    def test_is_not_waited_for_when_it_says_that_it_is_too_long(self) -> None:
+        """A broken length byte does not hold up the answer behind it."""
+        answer = Rtu().frame(Identify(1), Content())
+        assert heard(CODEC.decoder(Identify(1)), [answer[:9] + b"\xff" + answer]) != []
+        device = b"A" * (LONGEST_IDENTITY - 27)
+        longest = Rtu().frame(Identify(1), Content(texts=(b"TOSHIBA", device, b"0100")))
+        assert len(longest) == LONGEST_IDENTITY == CODEC.answer_size(Identify(1))
+        assert hear(Identify(1), longest) == [Identity("TOSHIBA", device.decode(), "0100")]
+        longer = Rtu().frame(Identify(1), Content(texts=(b"TOSHIBA", device + b"A", b"0100")))
+        assert hear(Identify(1), longer) == []
+
+
+@pytest.mark.parametrize(
+    ("request_", "message"),
+    [
+        (ReadWords(0, 0xFD00), "inverter number must be 1 to 247, not 0"),
+        (ReadWords(248, 0xFD00), "inverter number must be 1 to 247, not 248"),
+        (ReadWords(None, 0xFD00), "needs an inverter number"),
+        (WriteRam(Group(None, 2), 0xFA01, 0), "there is only the group of all drives"),
+        (ReadWords(1, 0xFD00, 0), "count of a direct read must be 1 to 8, not 0"),
+        (ReadWords(1, 0xFD00, 9), "count of a direct read must be 1 to 8, not 9"),
+        (ReadWords(1, 0xFFFF, 2), "last communication number of a read must be 0 to 65535, not 65536"),
+        (ReadWords(1, -1), "last communication number of a read must be 0 to 65535, not -1"),
+        (ReadBlock(1, 0x1875, 1), "count of a block read must be 2 to 5, not 1"),
+        (ReadBlock(1, 0x1875, 6), "count of a block read must be 2 to 5, not 6"),
+        (ReadBlock(1, 0x10000, 2), "communication number must be 0 to 65535"),
+        (WriteRam(1, 0x10000, 0), "communication number must be 0 to 65535"),
+        (WriteRam(1, 0xFA01, 0x10000), r"word must be 0 to 65535 \(FFFFH\), not 65536"),
+        (WriteStored(1, 0xFA01, -1), "word must be 0 to 65535"),
+        (WriteBlock(1, 0x1870, (1,)), "count of a block write must be 2, not 1"),
+        (WriteBlock(1, 0x1870, (1, 2, 3)), "count of a block write must be 2, not 3"),
+        (WriteBlock(1, 0x1870, (1, 0x10000)), "word must be 0 to 65535"),
+        (Exchange(1, 0x1875, 6, 0x1870, (1, 2)), "count of a block read must be 2 to 5, not 6"),
+        (Exchange(1, 0x1875, 5, 0x1870, (1,)), "count of a block write must be 2, not 1"),
+        (Exchange(1, 0x1875, 5, 0x10000, (1, 2)), "communication number must be 0 to 65535"),
+        (Identify(1, 4), "read code of an identification must be 0 to 3, not 4"),
+        (Proportional(1, 0xFA01, 5000), "no proportional command: write the frequency"),
+    ],
+)
+def test_what_the_protocol_has_not_is_refused_by_every_method(request_: Request, message: str) -> None:
+    """The message says what is wrong and what would be right; nothing is sent."""
+    for method in (CODEC.encode, CODEC.answering, CODEC.answer_size, CODEC.least_answer, CODEC.decoder):
+        with pytest.raises(NoSuchForm, match=message):
+            method(request_)
