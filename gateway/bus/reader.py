@@ -194,8 +194,10 @@ class DriveReader:
             self._before = mapping
         self._provision.attempted(register)
         work = Work(Task.PROVISION, request, register=register)
-        said = f"{register.title or register.name} is set to {request.word} (was {self.facts.get(register.name)})"
-        return Learnt(jobs=[self._at_once(work, now)], notes=[*notes, said])
+        said = []
+        if register.name != RESET_MARK:
+            said = [f"{register.title or register.name}: {request.word} is written (was {self.facts[register.name]})"]
+        return Learnt(jobs=[self._at_once(work, now)], notes=[*notes, *said])
 
     def _provisioned(self, register: Register, now: float) -> Learnt:
         if register.name == RESET_MARK:
@@ -233,8 +235,12 @@ class DriveReader:
             self._proof.propose(as_set)
         if self.facts.get(BLOCK_MODE) == 1:
             self._proof.candidates.clear()
-            return self._start_polls(now, [*notes, DISPLAY_NOTE])
-        return self._next_proof(now, notes)
+            learnt = self._start_polls(now, [*notes, DISPLAY_NOTE])
+        else:
+            learnt = self._next_proof(now, notes)
+        if self._provision.awaits_reset:
+            learnt.warnings.append("reset needed: F875-F879 were set and act after a reset (switch it off and on)")
+        return learnt
 
     @property
     def is_reset_needed(self) -> bool:

@@ -18,6 +18,7 @@ from gateway.clock import Clock
 from gateway.errors import BadReply, LineDown, NoReply, Refusal, Refused
 from gateway.image import DriveImage, LinkState
 from gateway.metrics import DriveStats, LineStats
+from gateway.protocol.pdu import Request, WriteStored
 
 log = logging.getLogger("gateway.bus")
 frames = logging.getLogger("gateway.bus.frames")
@@ -45,6 +46,12 @@ class _Station:
         self.link = Link()
         self.quiet_until = float("-inf")  # nothing but identifications before: a late answer might be believed
         self.processing = drive.model.times.processing + drive.wait_time
+
+    def processing_of(self, request: Request) -> float:
+        """Return how long the drive may take for a request, in seconds: longer for a write to its EEPROM."""
+        if isinstance(request, WriteStored):
+            return self.drive.model.times.eeprom + self.drive.wait_time
+        return self.processing
 
 
 class LineWorker:
@@ -135,7 +142,7 @@ class LineWorker:
         station.stats.exchanges += 1
         try:
             request = station.reader.request(job.work)
-            answered = await exchanger.exchange(station.drive.codec, request, station.processing)
+            answered = await exchanger.exchange(station.drive.codec, request, station.processing_of(request))
         except (NoReply, BadReply) as error:
             self._unanswered(station, job, error, started)
         except Refused as refused:
