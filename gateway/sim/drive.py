@@ -6,7 +6,7 @@ from random import Random
 
 from gateway.drives.model import Model
 from gateway.sim import frames
-from gateway.sim.access import RegisterAccess
+from gateway.sim.access import Effects, RegisterAccess
 from gateway.sim.inverter import Inverter
 from gateway.sim.options import PROTOCOLS, DriveOptions
 
@@ -47,24 +47,29 @@ class SimulatedDrive:
         self.inverter.tick(now)
 
     def handle(self, frame: bytes, now: float) -> tuple[bytes | None, float]:
-        """Take a frame whose end was recognised now; return the answer, or None, and the seconds until it begins."""
+        """Take a frame whose end was recognised now; return the answer, or None, and the seconds until it begins.
+
+        Without an answer the seconds are those for which the drive works on the frame and hears no other.
+        """
         self.tick(now)
         self.frames_heard += now >= self.inverter.deaf_until
         if now < self.inverter.deaf_until:
             return None, 0.0
-        self.registers.begin()
+        effects = self.registers.begin()
         answer = frames.answer(self.protocol, frame, self.number, self.registers)
-        if self.registers.was_reset:  # FA00 bit 13 returns no data (E6581657 7.1)
+        if effects.reset_drive:  # FA00 bit 13 returns no data (E6581657 7.1)
             return None, 0.0
-        if answer is not None or (self.registers.was_proportional and self._counts_proportional):
-            self._acknowledge(now)
-        return answer, self._answer_time()
+        if answer is not None or (effects.was_proportional and self._counts_proportional):
+            self._acknowledge(now, effects)
+        if answer is None:
+            return None, self._processing(effects) if effects.used_registers else 0.0
+        return answer, max(self._processing(effects), self._wait_time)
 
-    def _acknowledge(self, now: float) -> None:
+    def _acknowledge(self, now: float, effects: Effects) -> None:
         """Start the timer of F803, but by the message after the one that set it (6.3)."""
         self.acknowledged = now
         self.messages_acknowledged += 1
-        if not self.registers.set_timer:
+        if not effects.set_timer:
             self.inverter.acknowledge(now)
 
     @property
@@ -79,13 +84,17 @@ class SimulatedDrive:
     def _counts_proportional(self) -> bool:
         return self.inverter.options.proportional_restarts_timer
 
-    def _answer_time(self) -> float:
-        """Return the processing time, or F805 where that is longer (6.5)."""
+    def _processing(self, effects: Effects) -> float:
+        """Return the seconds for which it works on a message."""
         options = self.inverter.options
-        own = options.processing
-        if self.registers.wore_eeprom:
-            own = self.model.times.eeprom if options.eeprom is None else options.eeprom
-        return max(own, self.inverter.memory.word(self.inverter.role("wait_time")) / 100)
+        if not effects.wore_eeprom:
+            return options.processing
+        return self.model.times.eeprom if options.eeprom is None else options.eeprom
+
+    @property
+    def _wait_time(self) -> float:
+        """Return F805: an answer begins no sooner (6.5)."""
+        return self.inverter.memory.word(self.inverter.role("wait_time")) / 100
 
     # -- at the drive itself --------------------------------------------------------------------------------
 

@@ -1,6 +1,8 @@
 """One RS485 line in time: characters take their bits, frames end by silence, and what overlaps is lost.
 
-Times are seconds on the caller's clock. The line is half-duplex: one master, and drives that hear every frame.
+Times are seconds on the caller's clock. The line is half-duplex: one master, and drives that hear its every frame.
+Here they do not hear each other's answers; on a real line they do, and an answer of the TOSHIBA protocol that looks
+like its request, and has no number in it, is a request to them.
 """
 
 from __future__ import annotations
@@ -211,7 +213,7 @@ class Wire:
 
     def _ask(self, place: int, drive: SimulatedDrive, data: bytes | None, frame: Frame, now: float) -> bool:
         """Let one drive have what reaches it of a frame; say whether it answers."""
-        is_busy = self._busy.get(place, 0.0) > frame.begin
+        is_busy = self._busy.get(place, 0.0) > frame.begin + ROUNDING
         if is_busy or not drive.hears(self._timing.baud, self._parity):
             return False
         number = drive.number
@@ -220,6 +222,7 @@ class Wire:
             return False
         answer, processing = drive.handle(heard, now)
         if answer is None:
+            self._busy[place] = now + processing
             return False
         own_end = now + processing + self._timing.answer(len(answer))
         self._busy[place] = own_end
