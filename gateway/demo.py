@@ -32,7 +32,12 @@ from gateway.image import DriveImage
 REFRESH = 0.5  # seconds between two pictures
 START_LIMIT = 20.0  # seconds for the gateway to answer
 END_LIMIT = 10.0  # seconds for a program to end in order
-DRIVES = (("pump-1", 1, "vf-nc3"), ("pump-2", 2, "vf-nc3"), ("fan-1", 3, "vf-mb1"))
+DRIVES = (
+    ("pump-1", 1, "vf-nc3", "modbus-rtu"),
+    ("pump-2", 2, "vf-nc3", "toshiba-binary"),
+    ("fan-1", 3, "vf-mb1", "toshiba-binary"),
+)
+F829 = {"modbus-rtu": "modbus-rtu", "toshiba-binary": "toshiba"}
 
 LINE = """\
 baud = 19200
@@ -44,6 +49,7 @@ DRIVE = """
 [[drive]]
 number = {number}
 model = "{model}"
+protocol = "{protocol}"
 block_read = [1, 2, 3, 4, 5]
 running_at = {hz}
 """
@@ -114,7 +120,10 @@ def _simulate(folder: Path) -> list[str]:
 
 def _write_files(folder: Path, ports: Ports) -> Path:
     speeds = (50.0, 35.0, 42.5)
-    drives = (DRIVE.format(number=n, model=m, hz=hz) for (_, n, m), hz in zip(DRIVES, speeds, strict=True))
+    drives = (
+        DRIVE.format(number=number, model=model, protocol=F829[protocol], hz=hz)
+        for (_, number, model, protocol), hz in zip(DRIVES, speeds, strict=True)
+    )
     (folder / "line.toml").write_text(LINE.format(drives="".join(drives)))
     config = folder / "gateway.toml"
     config.write_text("".join(_gateway_file(folder, ports)))
@@ -126,8 +135,8 @@ def _gateway_file(folder: Path, ports: Ports) -> Iterator[str]:
     yield f'[mqtt]\nurl = "mqtt://127.0.0.1:{ports.mqtt}"\nversion = "3.1.1"\n'
     yield f'[modbus_tcp]\nlisten = "127.0.0.1:{ports.modbus_tcp}"\n[web]\nlisten = "127.0.0.1:{ports.web}"\n'
     yield f'[[line]]\nname = "a"\nport = "{folder / "line"}"\nbaud = 19200\nparity = "even"\n'
-    for name, number, model in DRIVES:
-        yield f'[[line.drive]]\nname = "{name}"\nnumber = {number}\nmodel = "{model}"\n'
+    for name, number, model, protocol in DRIVES:
+        yield f'[[line.drive]]\nname = "{name}"\nnumber = {number}\nmodel = "{model}"\nprotocol = "{protocol}"\n'
 
 
 @contextlib.asynccontextmanager
@@ -241,7 +250,7 @@ def _picture(images: list[DriveImage], seen: Seen) -> Group:
     table = Table(title="three simulated drives on one RS485 line, 19200 8E1", box=box.SIMPLE)
     table.add_column("value", no_wrap=True)
     for image in images:
-        table.add_column(f"{image.drive.name}, unit id {image.drive.unit}", justify="right")
+        table.add_column(f"{image.drive.name}, unit id {image.drive.unit}, {image.drive.protocol}", justify="right")
     states = [seen.states.get(image.drive.name, {}) for image in images]
     for name in dict.fromkeys(name for image in images for name in image.names):
         table.add_row(name, *(_shown(image, state, name) for image, state in zip(images, states, strict=True)))
