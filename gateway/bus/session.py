@@ -177,7 +177,9 @@ class Session:
 
     async def _reset(self, drive: Drive, write: PlannedWrite) -> Outcome:
         """Reset a fault: the drive obeys without an answer, is deaf for a second, and its status tells (7.1)."""
-        await self.send(drive.codec, write.request, processing_time(drive))
+        note, is_refused = await self._write_once(drive, write)  # an answer says that the drive did not obey
+        if is_refused:
+            return Outcome(drive, write, Verdict.REFUSED, None, None, note)
         await self.pause(drive.model.times.start_up)
         return await self.after_reset(drive, write)
 

@@ -88,7 +88,7 @@ def plan_write(
     A stored parameter goes to RAM only where the protocol can do that, and to the EEPROM only where that is
     allowed. `bounds` are the words, by name, of the registers that limit this one (`limited_by`), as far as known.
     """
-    _check_access(model, register, allowed)
+    check_access(model, register, allowed)
     _check_range(model, register, word, bounds or {})
     is_stored = _goes_to_eeprom(register, codec, allowed)
     is_answered = _is_answered(model, register, word)
@@ -111,7 +111,8 @@ def limited_by(model: Model, register: Register) -> tuple[Register, ...]:
     return tuple(model.registers[name] for name in names)
 
 
-def _check_access(model: Model, register: Register, allowed: Allowed) -> None:
+def check_access(model: Model, register: Register, allowed: Allowed) -> None:
+    """Refuse a register that is not, or never, to be written, whatever the value."""
     if register.address in model.cautions.never or register.name in _lifelines(model):
         reason = "it is set at the drive's panel only: a wrong value cuts the line to the drive, or resets it"
         raise BadCommand(Why.FORBIDDEN, f"{label(register)} is never written; {reason}")

@@ -116,7 +116,9 @@ async def _settings(search: Search) -> Sequence[Setting]:
     is_pty = port.is_pty
     port.close()
     if is_pty:
-        search.result.notes.append("a pseudo-terminal has no parity and no baud rate: any are as good as those tried")
+        search.result.notes.append(
+            "a pseudo-terminal has no parity and no baud rate: these are the ones tried, not those of the line behind"
+        )
     if search.is_network:
         search.result.notes.append("baud rate and parity are set in the serial server, and were not tried")
     has_any = not is_pty and not search.is_network

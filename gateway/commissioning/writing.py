@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from gateway.bus.group_writes import Writes, write_together
 from gateway.bus.session import Outcome, Session
-from gateway.bus.writes import Allowed, PlannedWrite, Verdict, limited_by, plan_write
+from gateway.bus.writes import Allowed, PlannedWrite, Verdict, check_access, limited_by, plan_write
 from gateway.commissioning.reading import in_words
 from gateway.commissioning.targets import Target
 from gateway.drives.notation import NotUnderstood, found, label, raw_word_of, word_of
@@ -61,6 +61,7 @@ def plan(drives: Sequence[Drive], wish: Wish, bounds: dict[str, dict[str, int]] 
 
 def _plan(drive: Drive, item: Assignment, wish: Wish, bounds: dict[str, dict[str, int]]) -> PlannedWrite:
     register = found(drive.model, item.name)
+    check_access(drive.model, register, wish.allowed)
     word = item.word(register, is_raw=wish.is_raw)
     limits = bounds.get(drive.name, {})
     return plan_write(drive.model, drive.codec, drive.number, register, word, wish.allowed, limits)

@@ -89,7 +89,7 @@ class Hand:
 
     def fault_at(self, request: Request, name: str, kind: Kind, **more: Any) -> None:
         """Let a fault begin with that request to a configured drive."""
-        self.ear.pending.append((self.drive(name).codec.encode(request), Fault(kind, None, **more)))
+        self.ear.pending.append((self.drive(name).codec.encode(request), Fault(kind, **more)))
 
     def sent(self, request: Request, name: str) -> int:
         """Count how often that request to a configured drive was sent."""
@@ -112,7 +112,7 @@ def _simulated(drive: Mapping[str, Any]) -> dict[str, Any]:
     entry = {key: value for key, value in drive.items() if key not in ("protocol", "wait_time", "is")}
     entry["model"] = drive.get("is", drive["model"])
     if drive.get("protocol", "modbus-rtu") != "modbus-rtu":
-        entry["registers"] = {"protocol": 0, **entry.get("registers", {})}
+        entry["protocol"] = "toshiba"
     return entry
 
 

@@ -15,7 +15,7 @@ from gateway.site import Drive
 from tests.bus.hand import Hand, play
 
 STORED = Allowed(stored=True)
-PROTOCOLS = ["modbus-rtu"]
+PROTOCOLS = ["modbus-rtu", "toshiba-ascii", "toshiba-binary"]
 every_protocol = pytest.mark.parametrize("protocol", PROTOCOLS)
 
 

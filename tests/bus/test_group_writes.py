@@ -1,0 +1,152 @@
+"""Writes to several drives at once: who is reached by what, and what each of them holds afterwards."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from gateway.bus.group_writes import GroupOutcome, write_together
+from gateway.bus.writes import Allowed, Verdict, plan_write
+from gateway.drives.notation import word_of
+from gateway.protocol.pdu import EVERY_DRIVE, Group, WriteRam
+from gateway.sim.faults import Kind
+from tests.bus.hand import Hand, play
+
+STORED = Allowed(stored=True)
+ASCII, BINARY, MODBUS = "toshiba-ascii", "toshiba-binary", "modbus-rtu"
+
+
+def line(protocol: str, *numbers: int, **more: Any) -> list[dict[str, Any]]:
+    """Return VF-nC3 drives of one protocol."""
+    return [{"number": number, "model": "vf-nc3", "protocol": protocol, **more} for number in numbers]
+
+
+async def write(hand: Hand, names: list[str], name: str, value: str, *, again: bool = False) -> GroupOutcome:
+    """Write one value to some of the drives."""
+    writes = []
+    for drive in map(hand.drive, names):
+        register = drive.model.registers[name]
+        word = word_of(register, value)
+        writes.append((drive, plan_write(drive.model, drive.codec, drive.number, register, word, STORED)))
+    return await write_together(hand.session, writes, again=again)
+
+
+def verdicts(done: GroupOutcome) -> dict[str, Verdict]:
+    """Return the verdict on each drive."""
+    return {outcome.drive.name: outcome.verdict for outcome in done.outcomes}
+
+
+def addresses(done: GroupOutcome) -> list[str]:
+    """Return whom the frames were addressed to."""
+    return [frame.address for frame in done.frames]
+
+
+@pytest.mark.parametrize(("protocol", "address"), [(ASCII, "1*"), (BINARY, "FFH"), (MODBUS, "0")])
+def test_one_frame_for_all_and_each_is_read_back(protocol: str, address: str) -> None:
+    """Three drives hold what was sent once."""
+
+    async def scene(hand: Hand) -> None:
+        done = await write(hand, ["d11", "d12", "d13"], "frequency_command", "25.00")
+        assert addresses(done) == [address]
+        assert verdicts(done) == {"d11": Verdict.DONE, "d12": Verdict.DONE, "d13": Verdict.DONE}
+        assert [hand.word(number, "frequency_command") for number in (11, 12, 13)] == [2500] * 3
+        assert len(hand.frames) == 3 + 1 + 3
+
+    play(line(protocol, 11, 12, 13), scene)
+
+
+def test_drives_that_are_read_in_binary_are_reached_by_a_digit_in_ascii() -> None:
+    """Where FFH would reach one more."""
+
+    async def scene(hand: Hand) -> None:
+        done = await write(hand, ["d11", "d12"], "frequency_command", "25.00")
+        assert addresses(done) == ["1*"]
+        assert [hand.word(number, "frequency_command") for number in (11, 12, 22)] == [2500, 2500, 0]
+
+    play(line(BINARY, 11, 12, 22), scene)
+
+
+@pytest.mark.parametrize("protocol", [ASCII, BINARY, MODBUS])
+def test_a_drive_outside_the_group_keeps_what_it_has(protocol: str) -> None:
+    """The members are then addressed one by one."""
+
+    async def scene(hand: Hand) -> None:
+        done = await write(hand, ["d5", "d16"], "frequency_command", "25.00")
+        assert addresses(done) == ["number 5", "number 16"]
+        assert hand.word(27, "frequency_command") == 0
+
+    play(line(protocol, 5, 16, 27), scene)
+
+
+def test_mixed_protocols_have_a_frame_each() -> None:
+    """TOSHIBA and MODBUS-RTU on one line."""
+
+    async def scene(hand: Hand) -> None:
+        done = await write(hand, ["d1", "d2", "d3", "d4"], "frequency_command", "25.00")
+        assert addresses(done) == ["0*", "0"]
+        assert set(verdicts(done).values()) == {Verdict.DONE}
+
+    play(line(ASCII, 1, 2) + line(MODBUS, 3, 4), scene)
+
+
+@pytest.mark.parametrize(
+    ("protocol", "group"), [(ASCII, Group(tens=0)), (BINARY, EVERY_DRIVE), (MODBUS, EVERY_DRIVE)]
+)
+def test_each_drive_is_told_of_for_itself(protocol: str, group: Group) -> None:
+    """One did not hear the frame, one is silent altogether."""
+
+    async def scene(hand: Hand) -> None:
+        hand.fault(Kind.CUT, 3)
+        hand.fault_at(WriteRam(group, 0xFA01, 2500), "d1", Kind.CUT, drive=2, count=1)
+        done = await write(hand, ["d1", "d2", "d3"], "frequency_command", "25.00")
+        assert verdicts(done) == {"d1": Verdict.DONE, "d2": Verdict.NOT_DONE, "d3": Verdict.UNKNOWN}
+        assert [outcome.note for outcome in done.outcomes] == ["", "", "silent"]
+
+    play(line(protocol, 1, 2, 3), scene)
+
+
+def test_the_representatives_refusal_is_its_own() -> None:
+    """The others are judged by what they hold: here they refused it in silence."""
+
+    async def scene(hand: Hand) -> None:
+        done = await write(hand, ["d10", "d11"], "frequency_command", "90.00")
+        assert addresses(done) == ["1*"]
+        assert verdicts(done) == {"d10": Verdict.REFUSED, "d11": Verdict.NOT_DONE}
+        assert done.outcomes[0].note == "data range error"
+
+    play(line(ASCII, 10, 11), scene)
+
+
+@pytest.mark.hazard("H08")
+@pytest.mark.parametrize("protocol", [ASCII, BINARY, MODBUS])
+def test_nobodys_eeprom_is_worn_for_what_it_has(protocol: str) -> None:
+    """A frame for all would wear the one that has the value: the other two are addressed."""
+
+    async def scene(hand: Hand) -> None:
+        done = await write(hand, ["d1", "d2", "d3"], "free_notes", "7")
+        assert verdicts(done) == {"d1": Verdict.DONE, "d2": Verdict.EQUAL, "d3": Verdict.DONE}
+        assert addresses(done) == ["number 1", "number 3"]
+        assert [dict(hand.wear(number)) for number in (1, 2, 3)] == [{0x0880: 1}, {}, {0x0880: 1}]
+        again = await write(hand, ["d1", "d2", "d3"], "free_notes", "7", again=True)
+        assert set(verdicts(again).values()) == {Verdict.DONE}
+        assert [hand.wear(number)[0x0880] for number in (1, 2, 3)] == [2, 1, 2]
+
+    drives = line(protocol, 1, 2, 3)
+    drives[1]["registers"] = {"free_notes": 7}
+    play(drives, scene)
+
+
+@pytest.mark.hazard("H09")
+@pytest.mark.parametrize("protocol", [ASCII, MODBUS])
+def test_a_fault_reset_of_a_group_is_seen_at_each_drive(protocol: str) -> None:
+    """Nobody answers; all are waited for."""
+
+    async def scene(hand: Hand) -> None:
+        for number in (1, 2):
+            hand.simulated(number).inverter.trip(1)
+        done = await write(hand, ["d1", "d2"], "command", "fault_reset+command_priority")
+        assert set(verdicts(done).values()) == {Verdict.DONE}
+        assert all(outcome.note.startswith("not tripped") for outcome in done.outcomes)
+
+    play(line(protocol, 1, 2), scene)
