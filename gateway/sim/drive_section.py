@@ -37,6 +37,7 @@ class SimulatedDriveSection(Section):
     processing_time: Span | None = Field(None, ge=0, le=2, description="the line's by default")
     direct_blocks: bool = Field(False, description="accept direct blocks for FAxx-FExx too")
     stable_bits: bool = Field(False, description="undefined bits read 0 instead of changing by chance")
+    proportional_restarts_timer: bool = Field(False, description="S and s count for F803 too")
     load: float = Field(0.6, ge=0, le=2, description="of rated torque at 60 Hz")
     maximum_frequency: Hertz = Field(80.0, gt=0, description="FH")
     jog_frequency: Hertz = 5.0
@@ -93,6 +94,7 @@ def make(
         limits=Limits(section.maximum_frequency, section.jog_frequency, tuple(section.preset_frequencies)),
         version=section.version,
         stable_bits=section.stable_bits,
+        proportional_restarts_timer=section.proportional_restarts_timer,
     )
     return SimulatedDrive(model, options, rng, now)
 

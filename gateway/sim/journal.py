@@ -31,6 +31,17 @@ class Entry:
     drive: int | None = None
     note: str = ""
 
+    @property
+    def is_told(self) -> bool:
+        """Say whether it is news: an answer that is heard anyway is not."""
+        return self.way is not Way.ANSWER or bool(self.note)
+
+    @property
+    def text(self) -> str | None:
+        """Return an ASCII frame as text, without its CR; None for anything else."""
+        body = self.data.removesuffix(b"\r")
+        return body.decode() if body.isascii() and body.decode().isprintable() and body.startswith(b"(") else None
+
 
 class Journal:
     """Keeps the latest entries, and tells listeners of each as it is made."""
@@ -56,3 +67,14 @@ class Journal:
     def last(self, count: int) -> Sequence[Entry]:
         """Return the latest entries, the oldest first."""
         return tuple(islice(self._entries, max(0, len(self._entries) - count), None))
+
+
+ARROWS = {Way.REQUEST: "->", Way.ANSWER: "x-", Way.HEARD: "<-", Way.EVENT: "**"}
+
+
+def told(entry: Entry, opened: float) -> str:
+    """Write an entry as a line of text; its time is in seconds since the line was opened."""
+    drive = "" if entry.drive is None else f" {entry.drive}:"
+    data = entry.text or entry.data.hex(" ").upper()
+    note = f" [{entry.note}]" if entry.note and entry.data else entry.note
+    return f"{entry.begin - opened:10.4f} {ARROWS[entry.way]}{drive} {data}{note}".rstrip()

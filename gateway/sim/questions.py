@@ -65,25 +65,25 @@ class Log(Question):
 
     def answer(self, line: Installation, loop: LineLoop, now: float) -> list[dict[str, Any]]:
         """Return them."""
-        return [told(entry, line.opened) for entry in line.wire.journal.last(self.count)]
+        return [table(entry, line.opened) for entry in line.wire.journal.last(self.count)]
 
 
-def told(entry: Entry, opened: float) -> dict[str, Any]:
+def table(entry: Entry, opened: float) -> dict[str, Any]:
     """Describe an entry of the journal; times are seconds since the line was opened."""
-    table: dict[str, Any] = {
+    described: dict[str, Any] = {
         "way": entry.way.value,
         "begin": round(entry.begin - opened, 6),
         "end": round(entry.end - opened, 6),
     }
     if entry.drive is not None:
-        table["drive"] = entry.drive
+        described["drive"] = entry.drive
     if entry.data:
-        table["data"] = entry.data.hex(" ").upper()
-        if entry.data.rstrip(b"\r").isascii() and entry.data.rstrip(b"\r").decode().isprintable():
-            table["text"] = entry.data.decode()
+        described["data"] = entry.data.hex(" ").upper()
+        if (text := entry.text) is not None:
+            described["text"] = text
     if entry.note:
-        table["note"] = entry.note
-    return table
+        described["note"] = entry.note
+    return described
 
 
 AnyQuestion = Annotated[Stats | ResetStats | State | Log, Field(discriminator="do")]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from gateway.errors import GatewayError
 from gateway.sim.control import Control, ControlSocket
-from gateway.sim.journal import Entry, Way
+from gateway.sim.journal import Entry, Way, told
 from gateway.sim.loop import LineLoop
 from gateway.sim.pty_port import PtyPort
 from gateway.sim.settings import SimulatedLineConfig, install, notes
@@ -35,8 +35,8 @@ def simulate(config: SimulatedLineConfig, *, control: Path | None, announce: Cal
         wire, begin = line.loop.wire, line.control.line.opened
 
         def tell(entry: Entry) -> None:
-            if entry.way is Way.EVENT:
-                announce(f"{entry.begin - begin:.3f} s: {entry.note}")
+            if entry.way is Way.EVENT or (config.trace and entry.is_told):
+                announce(told(entry, begin))
 
         wire.journal.listen(tell)
         line.loop.run()

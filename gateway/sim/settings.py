@@ -45,6 +45,7 @@ class SimulatedLineConfig(Section):
         None, ge=0, le=2, description="the same for a write to the EEPROM; the model's longest by default"
     )
     delivery: Delivery = Field(Delivery.FRAME, strict=False, description="answers whole, or by characters")
+    trace: bool = Field(False, description="`simulate` tells every frame")
     link: str | None = Field(None, description="a symbolic link to the port, kept while the line runs")
     catalogue: list[str] = Field([], description="further catalogue files, relative to this file")
     drive: list[SimulatedDriveSection] = Field(min_length=1)

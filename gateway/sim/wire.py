@@ -227,8 +227,9 @@ class Wire:
         own_end = now + processing + self._timing.answer(len(answer))
         self._busy[place] = own_end
         begin = now + processing
-        self.journal.add(Entry(Way.ANSWER, begin, own_end, answer, number))
-        for sending in self.faults.sendings(answer, (drive, number), now):
+        sendings = self.faults.sendings(answer, (drive, number), now)
+        self.journal.add(Entry(Way.ANSWER, begin, own_end, answer, number, "" if sendings else Kind.DROP.value))
+        for sending in sendings:
             begin = self._send(sending.data, begin + sending.delay, number, sending.note)
         necessary = self._timing.exchange(len(heard), len(answer), processing)
         self.statistics.answered(number, own_end, necessary)

@@ -216,7 +216,7 @@ class TestQuestions:
         line.loop.wire.feed(b"(RFD00)\r", line.control.line.opened + 0.5)
         line.loop.wire.due(line.control.line.opened + 1)
         (request,) = result(line, do="log")
-        assert request["text"] == "(RFD00)\r"
+        assert request["text"] == "(RFD00)"
 
 
 @pytest.mark.parametrize(
