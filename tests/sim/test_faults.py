@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 
 from gateway.sim.doings import whose
+from gateway.sim.faults import Fault, Kind
 from gateway.sim.modbus import is_whole
 from gateway.sim.wire import Wire
 from tests.sim.rig import framed
@@ -89,8 +90,107 @@ class TestKinds:
         assert [len(data) for _, data in pieces] == [5]
         assert wire.statistics.lost == 1
 
+    def test_a_split_answer_pauses(self) -> None:
+        """It comes in two pieces, as from an adapter that sends packets, at every place by and by."""
+        wire = faulty({"kind": "split", "value": 0.03})
+        places = set()
+        for begin in range(60):
+            (first, head), (second, tail) = asked(wire, float(begin))
+            assert head + tail == ANSWER
+            assert second - first == pytest.approx(0.03 + len(tail) * IN)
+            places.add(len(head))
+        assert places == set(range(1, 7))
+
+    def test_an_answer_can_end_at_a_byte_chosen_by_chance(self) -> None:
+        """Two numbers stand for one between them, and no answer is cut behind its end."""
+        wire = faulty({"kind": "truncate", "value": [0, 255]})
+        sizes = [len(b"".join(data for _, data in asked(wire, float(begin)))) for begin in range(100)]
+        assert set(sizes) == set(range(7))
+
+    def test_delays_are_drawn_between_two(self) -> None:
+        """Each late answer has its own."""
+        wire = faulty({"kind": "late", "value": [0.1, 0.3]})
+        delays = [when - EXCHANGE for begin in range(20) for when, _ in asked(wire, float(begin))]
+        assert all(0.1 <= delay <= 0.3 for delay in delays)
+        assert len({round(delay, 6) for delay in delays}) == 20
+
+
+class TestRequests:
+    def test_a_request_can_be_lost_to_all(self) -> None:
+        """A fault of the line, counted once however many drives there are: no drive does what it was asked."""
+        wire = line({"number": 1}, {"number": 2}, fault=[{"kind": "cut", "count": 1}])
+        for begin in (0.0, 1.0):
+            wire.feed(framed("06 FA01 0064", 0), begin)
+            list(heard(wire))
+            expected = 0 if begin == 0.0 else 100
+            assert [drive.registers.read(0xFA01) for drive in wire.drives] == [expected, expected]
+
+    def test_a_damaged_request_is_silence_in_modbus(self) -> None:
+        """Whichever bit it is: the check is wrong, and no drive obeys."""
+        wire = line({"number": 1}, {"number": 2}, fault=[{"kind": "request_flip"}])
+        for begin in range(60):
+            wire.feed(framed("06 FA01 0064"), float(begin))
+            assert list(heard(wire, begin + 0.5)) == []
+        assert wire.drives[0].registers.read(0xFA01) == 0
+        assert (wire.statistics.broken, wire.statistics.answers) == (60, 0)
+
+    def test_a_damaged_request_is_a_checksum_error_in_toshiba(self) -> None:
+        """Or silence, where the damage is to the form; and never obeyed."""
+        toshiba = {"number": 1, "protocol": "toshiba"}
+        wire = line(toshiba, fault=[{"kind": "request_flip"}])
+        answers = set()
+        for begin in range(200):
+            wire.feed(bytes.fromhex("2F 50 FA 01 17 70 01"), float(begin))
+            answers.add(b"".join(data for _, data in heard(wire, begin + 0.5)))
+        assert answers == {b"", bytes.fromhex("2F 4E 00 04 81")}
+        assert wire.drives[0].registers.read(0xFA01) == 0
+
+    def test_a_request_can_be_damaged_for_one_drive_only(self) -> None:
+        """The other one obeys the broadcast."""
+        wire = line({"number": 1, "fault": [{"kind": "request_flip", "value": [1, 3]}]}, {"number": 2})
+        wire.feed(framed("06 FA01 0064", 0), 0.0)
+        list(heard(wire))
+        assert [drive.registers.read(0xFA01) for drive in wire.drives] == [0, 100]
+        assert wire.statistics.broken == 0
+
+    def test_the_journal_says_what_became_of_a_frame(self) -> None:
+        """What a fault did to a request and to an answer stands at it; how often each struck is counted."""
+        wire = faulty(
+            {"kind": "cut", "count": 1},
+            {"kind": "drop", "count": 1},
+            {"kind": "flip", "after": "2s", "count": 1},
+            {"kind": "late", "value": 0.01, "after": "2s", "count": 1},
+        )
+        wire.faults.add(Fault(Kind.CUT, after=3.0))
+        for begin in range(4):
+            asked(wire, float(begin))
+        notes = [(entry.way.value, entry.note) for entry in wire.journal.last(100)]
+        assert notes == [
+            *[("request", ""), ("request", ""), ("answer", "drop")],
+            *[("request", ""), ("answer", ""), ("heard", "flip late"), ("request", "cut")],
+        ]
+        assert wire.faults.struck == {"cut": 2, "drop": 1, "flip": 1, "late": 1}
+
 
 class TestWhenAndWhom:
+    def test_a_fault_stays_with_its_drive(self) -> None:
+        """Whatever number the drive has now, and whoever has its old one."""
+        wire = faulty({"kind": "drop"})
+        first, second = wire.drives
+        first.set_by_panel("number", 2)
+        second.set_by_panel("number", 1)
+        assert asked(wire, 0.0, number=2) == []
+        assert len(asked(wire, 1.0, number=1)) == 1
+
+    def test_a_fault_may_go_by_a_number(self) -> None:
+        """Then it hits whoever has it."""
+        wire = faulty()
+        wire.faults.add(Fault(Kind.DROP, 2))
+        wire.drives[0].set_by_panel("number", 2)
+        wire.drives[1].set_by_panel("number", 1)
+        assert asked(wire, 0.0, number=2) == []
+        assert len(asked(wire, 1.0, number=1)) == 1
+
     def test_a_drive_s_fault_leaves_the_others_alone(self) -> None:
         """Drive 2 answers as if nothing were."""
         wire = faulty({"kind": "drop"})

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import pytest
 
 from gateway.errors import BadConfig
-from gateway.sim.settings import SimulatedLineConfig, build, from_options, load, notes
+from gateway.sim.settings import SimulatedLineConfig, build, from_options, install, load, notes
+from gateway.sim.state import state
 from gateway.sim.wire import Delivery
 
 EVERYTHING = """\
@@ -76,8 +78,19 @@ def test_a_file_with_everything_makes_the_line_that_it_says(tmp_path: Path) -> N
 
 def test_a_configuration_survives_being_handed_to_another_process() -> None:
     """As JSON and back it is the same."""
-    config = from_options(["1:vf-nc3", "5:vf-mb1"], baud=9600)
-    assert SimulatedLineConfig.model_validate_json(config.model_dump_json()) == config
+    table = tomllib.loads(EVERYTHING) | {"catalogue": []}
+    table["drive"][0] |= {"registers": {}, "name": "pump"}
+    table["event"] = [
+        {"at": ["1s", "2s"], "every": "300ms", "do": "babble", "bytes": [1, 8]},
+        {"after_exchanges": 3, "do": "set", "drive": "pump", "register": "free_notes", "value": 1},
+        {"at": "1s", "do": "fault", "drive": 1, "kind": "late", "value": [0.1, 0.2], "until": "5s"},
+    ]
+    config = SimulatedLineConfig.model_validate(table)
+    assert SimulatedLineConfig.model_validate_json(config.model_dump_json(by_alias=True)) == config
+
+
+ONE = "[[drive]]\nnumber = 1\nmodel = 'vf-nc3'\n"
+EVENT = "[[event]]\ndo = 'babble'\n"
 
 
 @pytest.mark.parametrize(
@@ -90,6 +103,30 @@ def test_a_configuration_survives_being_handed_to_another_process() -> None:
         ("processing_time = 5\n[[drive]]\nnumber = 1\nmodel = 'vf-nc3'", "processing_time: a duration in quotes"),
         ("[[drive]]\nnumber = 1\nmodel = 'vf-nc3'\n[[drive.fault]]\nkind = 'gremlin'", r"drive\[0\].fault\[0\].kind"),
         ("number", "not TOML"),
+        (ONE + "name = '5th'", r"drive\[0\].name: String should match"),
+        (ONE + "name = 'x'\n" + ONE + "name = 'x'", "the name of one drive only: x"),
+        (ONE + "protocol = 'profibus'", r"drive\[0\].protocol: Input should be 'modbus-rtu' or 'toshiba'"),
+        (ONE + "[[drive.fault]]\nkind = 'echo'", r"drive\[0\]: fault\[0\]: echo is a fault of the line"),
+        (ONE + "[[fault]]\nkind = 'cut'\nvalue = 1", r"fault\[0\]: cut takes no value"),
+        (ONE + "[[fault]]\nkind = 'flip'\nvalue = 1.5", r"fault\[0\]: the value of flip counts bits"),
+        (ONE + "[[fault]]\nkind = 'flip'\nvalue = [1, 2, 3]", r"fault\[0\].value: a number from 0 up is wanted"),
+        (ONE + "[[fault]]\nkind = 'cut'\nafter = '2s'\nuntil = '1s'", r"fault\[0\]: until is to be later"),
+        (ONE + EVENT, r"event\[0\]: it does not say when: at = "),
+        (ONE + EVENT + "at = 5", r"event\[0\].at: a duration in quotes is wanted"),
+        (ONE + EVENT + "at = ['1s']", r"event\[0\].at: a duration is wanted, or two between which one is drawn"),
+        (ONE + EVENT + "at = ['2s', '1s']", r"event\[0\].at: of two durations the shorter one stands first"),
+        (ONE + EVENT + "at = '1s'\nafter_exchanges = 5", r"event\[0\]: at and after_exchanges exclude each other"),
+        (ONE + EVENT + "every = '1s'\nevery_exchanges = 5", r"event\[0\]: every and every_exchanges exclude"),
+        (ONE + EVENT + "every = '0s'", r"event\[0\]: every is to be \"1ms\" or longer"),
+        (ONE + EVENT + "at = '1s'\ntimes = 3", r"event\[0\]: times belongs to every or every_exchanges"),
+        (ONE + EVENT + "at = '1s'\nnumber = 3", r"event\[0\].number: unknown key"),
+        (ONE + "[[event]]\nat = '1s'", r"event\[0\].do: missing"),
+        (ONE + "[[event]]\nat = '1s'\ndo = 'dance'", r"event\[0\].do: no such doing 'dance'; known: trip, alarm, "),
+        (ONE + "[[event]]\nat = '1s'\ndo = 'stats'", r"event\[0\].do: no such doing 'stats'"),
+        (ONE + "[[event]]\nat = '1s'\ndo = 'trip'\ndrive = 1\ncode = 300", r"event\[0\].code: Input should be less"),
+        (ONE + "[[event]]\nat = '1s'\ndo = 'trip'\ndrive = 9\ncode = 3", r"event\[0\].drive: no drive 9; .*: 1$"),
+        ("event = 3\n" + ONE, "event: Input should be a valid list"),
+        ("event = [3]\n" + ONE, r"event\[0\]: Input should be a valid"),
     ],
 )
 def test_a_wrong_file_is_refused_with_key_and_reason(tmp_path: Path, text: str, reason: str) -> None:
@@ -99,6 +136,35 @@ def test_a_wrong_file_is_refused_with_key_and_reason(tmp_path: Path, text: str, 
     with pytest.raises(BadConfig, match=reason) as caught:
         load(path)
     assert str(path) in str(caught.value)
+
+
+def test_all_that_is_wrong_is_said_at_once(tmp_path: Path) -> None:
+    """A line for each key."""
+    (tmp_path / "line.toml").write_text(ONE + "colour = 1\n[[fault]]\nkind = 'x'\n" + EVENT + "at = 1")
+    with pytest.raises(BadConfig) as caught:
+        load(tmp_path / "line.toml")
+    assert [line.split(": ")[1] for line in str(caught.value).splitlines()] == [
+        "drive[0].colour",
+        "fault[0].kind",
+        "event[0].at",
+    ]
+
+
+def test_an_event_may_name_a_drive_by_a_number_that_it_will_have(tmp_path: Path) -> None:
+    """Another event gives it."""
+    renumber = "[[event]]\nat = '1s'\ndo = 'renumber'\ndrive = 1\nnumber = 9\n"
+    trip = "[[event]]\nat = '2s'\ndo = 'trip'\ndrive = 9\ncode = 1\n"
+    (tmp_path / "line.toml").write_text(ONE + renumber + trip)
+    assert len(load(tmp_path / "line.toml").event) == 2
+
+
+@pytest.mark.parametrize("do", ["set", "force"])
+def test_an_event_names_a_register_that_its_drive_has(do: str) -> None:
+    """Found when the line is made, not when the event comes."""
+    event = {"at": "1h", "do": do, "drive": 1, "register": "colour", "value": 1}
+    config = SimulatedLineConfig.model_validate({"drive": [{"number": 1, "model": "vf-nc3"}], "event": [event]})
+    with pytest.raises(BadConfig, match=r"event\[0\].register: vf-nc3 has no register 'colour'; .* lists them"):
+        build(config)
 
 
 def test_a_file_that_is_not_there_is_said_so(tmp_path: Path) -> None:
@@ -127,11 +193,40 @@ def test_what_the_catalogue_does_not_have_is_refused(drive: dict[str, object], r
     assert str(caught.value).startswith("drive[1]: ")
 
 
-@pytest.mark.parametrize("option", ["vf-nc3", "one:vf-nc3", ":vf-nc3"])
+@pytest.mark.parametrize(
+    "option", ["vf-nc3", "one:vf-nc3", ":vf-nc3", "1:", "1:vf-nc3:", "1:vf-nc3:toshiba:x", "²:x"]
+)
 def test_a_wrong_option_is_refused_with_its_form(option: str) -> None:
-    """--drive takes NUMBER:MODEL."""
-    with pytest.raises(BadConfig, match="give NUMBER:MODEL"):
+    """--drive takes NUMBER:MODEL, and a protocol behind it."""
+    with pytest.raises(BadConfig, match=r"give NUMBER:MODEL\[:PROTOCOL\]"):
         from_options([option])
+
+
+def test_options_may_name_a_protocol() -> None:
+    """Drives of both protocols on one line, and number 0."""
+    config = from_options(["1:vf-nc3", "0:vf-mb1:toshiba", "2:vf-nc3:modbus-rtu"])
+    assert [drive.protocol for drive in build(config).drives] == [1, 0, 1]  # F829
+    with pytest.raises(
+        BadConfig, match="--drive 1:vf-nc3:profibus: no protocol 'profibus'; known: modbus-rtu, toshiba"
+    ):
+        from_options(["1:vf-nc3:profibus"])
+
+
+@pytest.mark.parametrize(("of_line", "of_drive", "spoken"), [
+    (None, None, "modbus-rtu"),
+    ("toshiba", None, "toshiba"),
+    ("toshiba", "modbus-rtu", "modbus-rtu"),
+    (None, "toshiba", "toshiba"),
+])  # fmt: skip
+@pytest.mark.parametrize("model", ["vf-nc3", "vf-mb1", "vf-as3"])
+def test_a_drive_speaks_its_own_protocol_or_the_line_s(
+    of_line: str | None, of_drive: str | None, spoken: str, model: str
+) -> None:
+    """Each model, whether it has a parameter for it or not."""
+    section = {"number": 5, "model": model} | ({"protocol": of_drive} if of_drive else {})
+    table = {"drive": [section]} | ({"protocol": of_line} if of_line else {})
+    station = install(SimulatedLineConfig.model_validate(table), 0.0)
+    assert state(station.drive(5, 0.0), None, 0.0)["protocol"] == spoken
 
 
 def test_a_wrong_baud_rate_is_refused() -> None:
