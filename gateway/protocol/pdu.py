@@ -92,7 +92,7 @@ class WriteBlock:
     """Write to RAM what F870 and F871 in force select; the drive answers with Written.
 
     `address` is where MODBUS-RTU has the block: 1870H, always two words (E6581657 5.1.5).
-    TOSHIBA binary: X without read data, one or two words (4.1.3).
+    TOSHIBA binary: X without read data, one or two words (4.1.3), or the five of the panel's text (7.3.1).
     """
 
     number: Target

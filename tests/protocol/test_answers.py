@@ -64,9 +64,41 @@ def test_an_answer_of_unknown_length_is_measured() -> None:
 
 def test_the_whole_echo_is_passed_over_with_all_that_is_in_it() -> None:
     """Data of the request that look like an answer are none."""
-    decoder = AnswerDecoder(Dialogue(b"?=?x7!", Answering.ALWAYS, (fixed(b"?x", 4),)))
-    assert hear(decoder, b"?=?x7!") == []
-    assert hear(decoder, b"?x8!") == [ANSWER]
+    for pieces in ((b"?=?x7!",), (b"?=", b"?x7!"), (b"?", b"=", b"?x7", b"!")):
+        decoder = AnswerDecoder(Dialogue(b"?=?x7!", Answering.ALWAYS, (fixed(b"?x", 4),)))
+        assert hear(decoder, *pieces) == []
+        assert hear(decoder, b"?x8!") == [ANSWER]
+
+
+class TestAnAnswerThatBeginsAsTheEcho:
+    LONG = Words((2,))
+    shapes = (Shape(REQUEST, 8, lambda frame: TestAnAnswerThatBeginsAsTheEcho.LONG), fixed(b"?x", 4))
+
+    def test_is_one_where_no_other_can_begin_behind_the_echo(self) -> None:
+        """Nothing in its tail looks like the beginning of an answer."""
+        assert hear(AnswerDecoder(dialogue(*self.shapes)), REQUEST + b".....") == [self.LONG]
+
+    @pytest.mark.parametrize("tail", [b"....?", b"...?x", b"..?xy", b".?xy!", b"?xy!."])
+    def test_gives_way_to_an_answer_behind_the_echo(self, tail: bytes) -> None:
+        """The other answer is waited for, and what was held back is forgotten with it."""
+        decoder = AnswerDecoder(dialogue(*self.shapes))
+        assert hear(decoder, REQUEST + tail, b"?xy!"[len(tail) - tail.index(b"?") :]) == [ANSWER]
+        left = len(decoder.received)
+        assert left < 8
+        assert hear(decoder, b"." * (8 - left), b"") == []
+
+    def test_is_one_when_the_line_falls_silent_right_behind_it(self) -> None:
+        """Not when anything follows."""
+        assert hear(AnswerDecoder(dialogue(*self.shapes)), REQUEST + b"....?", b"") == [self.LONG]
+        assert hear(AnswerDecoder(dialogue(*self.shapes)), REQUEST + b"....?", b".", b"") == []
+
+    def test_is_forgotten_when_babble_pushes_it_out(self) -> None:
+        """The place where it ended means nothing any more."""
+        decoder = AnswerDecoder(dialogue(*self.shapes))
+        assert hear(decoder, b"." * 300 + REQUEST + b"....?") == []
+        assert hear(decoder, b"." * (LIMIT - 300)) == []
+        assert hear(decoder, b"." * (308 - len(decoder.received)), b"") == []
+        assert len(decoder.received) == 308
 
 
 def test_where_nobody_answers_nothing_is_heard() -> None:
@@ -97,8 +129,9 @@ class TestEveryCodec:
         for _ in range(100):
             assert heard(decoder, [noise]) == []
             assert len(decoder.received) <= LIMIT
-        is_tripped = False if codec.forms.says_tripped else None
-        assert heard(decoder, [b"\x00", codec.encode(request), b""]) == [Written((), is_tripped)]
+        said = Written((), False if codec.forms.says_tripped else None)
+        assert heard(decoder, [b"\x00", codec.encode(request), b""]) == [said]
+        assert heard(decoder, [noise, b"\x00" * LIMIT + codec.encode(request)]) == [said]
 
     def test_says_the_same_of_equal_requests_and_tells_unequal_ones_apart(self, codec: Codec) -> None:
         """What is remembered of a request is of that request only."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, permutations
 
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from gateway.protocol.codec import Answering
+from gateway.protocol.frame_codec import FrameCodec
 from gateway.protocol.pdu import Identify, Request
 from tests.protocol.dialects import DIALECTS
 from tests.protocol.drive_side import Content, Dialect, heard
@@ -88,6 +89,16 @@ def test_the_sizes_are_those_of_the_answers(case: Case) -> None:
     assert len(normal) <= size if isinstance(request, Identify) else len(normal) == size
     assert codec.least_answer(request) == min(len(frame) for frame in (normal, case.refusal) if frame)
     assert (codec.answering(request) is Answering.ALWAYS) <= bool(normal)
+
+
+@given(cases())
+def test_no_answer_begins_as_another_kind_does(case: Case) -> None:
+    """The first bytes say which kind of answer it is, so that one look is enough."""
+    assert isinstance(case.dialect.codec, FrameCodec)
+    dialogue = case.dialect.codec.dialogue(case.request)
+    starts = [shape.start for shape in dialogue.normal + dialogue.refusals]
+    assert not [pair for pair in permutations(starts, 2) if pair[0].startswith(pair[1])]
+    assert {start[:1] for start in starts} <= {case.echo[:1]}
 
 
 @pytest.mark.hazard("H15")
