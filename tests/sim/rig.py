@@ -7,6 +7,7 @@ from random import Random
 from typing import Any
 
 from gateway.drives.catalogue import Catalogue, load
+from gateway.drives.model import Model
 from gateway.sim.drive import SimulatedDrive
 from gateway.sim.modbus import crc
 from gateway.sim.options import DriveOptions
@@ -24,13 +25,26 @@ def framed(body: str, number: int = 1) -> bytes:
     return data + crc(data)
 
 
+def binary(body: str) -> bytes:
+    """Return a frame of TOSHIBA binary from what is between start code and checksum, in hexadecimal."""
+    data = b"/" + bytes.fromhex(body)
+    return data + bytes([sum(data) % 256])
+
+
+def checked(body: str) -> bytes:
+    """Return a frame of TOSHIBA ASCII with a checksum, from what is between start code and checksum."""
+    data = f"({body}&".encode()
+    return data + f"{sum(data) % 256:02X})\r".encode()
+
+
 class Rig:
     """One drive and a clock that the test moves."""
 
-    def __init__(self, model: str = "vf-nc3", *, seed: int = 1, **options: Any) -> None:
+    def __init__(self, model: str | Model = "vf-nc3", *, seed: int = 1, **options: Any) -> None:
         """Switch a drive on at time 0; its undefined bits read 0 unless asked."""
         settings = DriveOptions(**({"number": 1, "stable_bits": True} | options))
-        self.drive = SimulatedDrive(models()[model], settings, Random(seed))
+        described = models()[model] if isinstance(model, str) else model
+        self.drive = SimulatedDrive(described, settings, Random(seed))
         self.now = 0.0
         self.delay = 0.0
 
@@ -52,6 +66,26 @@ class Rig:
         assert answer[-2:] == crc(answer[:-2])
         assert answer[0] == number
         return answer[1:-2].hex(" ").upper()
+
+    def tell(self, body: str) -> str | None:
+        """Send what stands between "(" and ")" of an ASCII frame; return the same of the answer, None for silence."""
+        answer = self.send(f"({body})\r".encode())
+        if answer is None:
+            return None
+        assert (answer[:1], answer[-2:]) == (b"(", b")\r")
+        return answer[1:-2].decode()
+
+    def tell_binary(self, body: str) -> str | None:
+        """Send what stands between start code and checksum, in hexadecimal; return the same, None for silence."""
+        answer = self.send(binary(body))
+        if answer is None:
+            return None
+        assert (answer[:1], answer[-1]) == (b"/", sum(answer[:-1]) % 256)
+        return answer[1:-1].hex(" ").upper()
+
+    def word(self, name: str) -> int:
+        """Look at the word of a register in the RAM, sending nothing."""
+        return self.drive.inverter.memory.word(name)
 
     def read(self, name: str) -> int:
         """Read a register by name over the wire."""

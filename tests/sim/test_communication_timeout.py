@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.sim.rig import Rig, framed
+from tests.sim.rig import Rig, binary, framed
 
 ERR5 = 0x18
 RUNNING_BY_RS485 = 0xC400
@@ -123,6 +123,92 @@ class TestWhatCounts:
             has_run_out |= pause >= 1.0
             assert trip_code(rig) == (ERR5 if has_run_out else 0)
             rig.read("status")
+
+
+class TestWhatCountsInToshiba:
+    @pytest.mark.parametrize("number", [0, 1])
+    @pytest.mark.parametrize(
+        "frame",
+        [b"(RFD00)\r", b"(PFA010000)\r", b"(R0131)\r", b"(LFD00)\r", b"(RFD00&00)\r", b"(W088000000)\r"]
+        + [binary(body) for body in ("52 FD00", "58 00 05", "50 FA01 0000", "52 0131")]
+        + [binary("52 FD00")[:-1] + b"\x00"],
+    )
+    def test_every_answer_counts_and_refusals_are_such(self, frame: bytes, number: int) -> None:
+        """Reads, writes, blocks, and each error that is answered, a wrong checksum too."""
+        rig = armed(protocol="toshiba", number=number)
+        for _ in range(5):
+            assert rig.send(frame) is not None
+            rig.wait(0.9)
+        assert trip_code(rig) == 0
+        rig.wait(0.101)
+        assert trip_code(rig) == ERR5
+
+    @pytest.mark.parametrize(
+        "frame", [b"(**PFA010000)\r", b"(0*RFD00)\r", binary("FF 50 FA01 0000"), binary("FF 58 00 05")]
+    )
+    def test_a_broadcast_counts_for_the_one_that_answers_it(self, frame: bytes) -> None:
+        """The representative has acknowledged it; for the others of the group the timer runs on."""
+        for number, code in ((0, 0), (1, ERR5)):
+            rig = armed(protocol="toshiba", number=number)
+            rig.tell("RFD00")
+            for _ in range(2):
+                rig.wait(0.6)
+                assert (rig.send(frame) is None) == (number != 0)
+            assert trip_code(rig) == code
+
+    @pytest.mark.parametrize(
+        "frame",
+        [
+            b"(02RFD00)\r",
+            b"(1RFD00)\r",
+            b"(RFD00",
+            b"(RFD)\r",
+            binary("02 52 FD00"),
+            binary("59 FD00"),
+            binary("52 FD00 00"),
+            framed("03 FD00 0001"),
+        ],
+    )
+    def test_what_is_not_answered_does_not_count(self, frame: bytes) -> None:
+        """Another number, format errors, an unknown command in binary, MODBUS-RTU."""
+        rig = armed(protocol="toshiba")
+        rig.tell("RFD00")
+        for _ in range(2):
+            rig.wait(0.4)
+            assert rig.send(frame) is None
+        rig.wait(0.201)
+        assert trip_code(rig) == ERR5
+
+    @pytest.mark.parametrize(("counts", "code"), [(False, ERR5), (True, 0)])
+    def test_s_does_not_count_unless_the_drive_is_set_to(self, counts: bool, code: int) -> None:
+        """It is never acknowledged; yet slaves that hear nothing else are told to set F803 (VF-MB1 RS485 6)."""
+        rig = armed(protocol="toshiba", model="vf-mb1", proportional_restarts_timer=counts)
+        rig.tell("RFD00")
+        for _ in range(5):
+            rig.wait(0.4)
+            assert rig.send(binary("53 FA01 1388")) is None
+        assert trip_code(rig) == code
+
+    def test_the_message_that_sets_it_does_not_start_it(self) -> None:
+        """By W, by P, and of a block none can."""
+        for letter in "WP":
+            rig = Rig(protocol="toshiba", presets={"timeout_action": 1, "timeout_detection": 0})
+            rig.tell(f"{letter}0803000A")
+            rig.wait(100)
+            assert trip_code(rig) == 0
+            rig.tell("RFD00")
+            rig.wait(1.001)
+            assert trip_code(rig) == ERR5
+
+    def test_a_time_out_set_by_p_is_gone_after_a_reset(self) -> None:
+        """F803 in RAM is back at what the EEPROM holds."""
+        rig = Rig(protocol="toshiba", presets={"timeout_action": 1, "timeout_detection": 0})
+        rig.tell("P0803000A")
+        rig.tell("RFD00")
+        rig.power_cycle()
+        rig.tell("RFD00")
+        rig.wait(100)
+        assert trip_code(rig) == 0
 
 
 class TestAction:
