@@ -92,7 +92,9 @@ def test_what_is_wrong_with_a_call_is_said_in_a_line(arguments: tuple[str, ...],
 def test_help_and_version() -> None:
     """Every command has a line of help; it says what this is not."""
     shown = command("--help").stdout
-    for name in ("run", "check", "map", "schema", "registers", "simulate", "demo"):
+    daemon = ("run", "check", "map", "schema", "registers", "simulate", "demo")
+    by_hand = ("scan", "read", "write", "display", "keys", "proportional")
+    for name in (*daemon, *by_hand):
         assert name in shown
     assert "Not a safety" in shown
     assert command("--version").stdout.startswith("tosvert-gateway ")

@@ -22,7 +22,7 @@ from gateway.drives import panel
 from gateway.drives.notation import NotUnderstood, label
 from gateway.drives.panel import CannotShow
 from gateway.drives.scaling import OutOfRange
-from gateway.errors import BadConfig
+from gateway.errors import BadConfig, BadReply, NoReply
 from gateway.protocol.codec import NoSuchForm
 from gateway.site import Drive
 
@@ -77,7 +77,7 @@ def _confirm(what: Sequence[str], is_agreed: bool) -> None:
     """Ask before anything by which a motor may start; without a terminal only --yes will do."""
     if not what or is_agreed:
         return
-    warning = f"{', '.join(what)}: a motor may start, or change its speed."
+    warning = f"{', '.join(what)}: a motor may start, or change its speed, and nobody watches it afterwards."
     if not sys.stdin.isatty():
         raise BadConfig(f"{warning} There is no terminal to ask at: give --yes")
     typer.confirm(f"{warning} Go on?", abort=True, err=True)
@@ -93,7 +93,7 @@ def read(
     wanted = [(drive, [reading.wanted(drive.model, name) for name in names]) for drive in target.drives]
 
     async def work(session: Session) -> list[reading.Reading]:
-        return [item for drive, asked in wanted for item in await reading.read(session, drive, asked)]
+        return [item for drive, asked in wanted for item in await _readings(session, target, drive, asked)]
 
     found = _carry_out(target, work)
     if as_json:
@@ -102,6 +102,18 @@ def read(
         for line in reading.as_lines(found):
             typer.echo(line)
     _finish(not any(item.problem for item in found))
+
+
+async def _readings(
+    session: Session, target: Target, drive: Drive, asked: Sequence[reading.Wanted]
+) -> list[reading.Reading]:
+    """Read a drive's values; a silent one of several is told of, and does not hold up the others."""
+    try:
+        return await reading.read(session, drive, asked)
+    except (NoReply, BadReply) as error:
+        if not target.is_group:
+            raise
+        return [reading.Reading(drive.name, "", problem=str(error))]
 
 
 def write(
@@ -115,7 +127,8 @@ def write(
 ) -> None:
     """Write values to a drive, or to the drives of a group, and read them back.
 
-    To RAM where drive and protocol can do that. A motor may start when FA00, FA01, FA13 or FA20 is written.
+    To RAM where drive and protocol can do that. A motor may start when FA00, FA01, FA13 or FA20 is written, and
+    runs on when the command has ended.
     """
     target = target_of(chosen)
     given = tuple(writing.assignment(text) for text in assignments)
@@ -141,13 +154,18 @@ def display_(
     words = [() if text is None else display.text_words(drive, text, led) for drive in target.drives]
 
     async def work(session: Session) -> bool:
+        await writing.check_models(session, target)
         is_good = True
         for drive, shown in zip(target.drives, words, strict=True):
-            await session.check_model(drive)
-            if number is not None:
-                done = await display.show_number(session, drive, number, led, allowed)
-            else:
-                done = await display.show_text(session, drive, shown, allowed)
+            try:
+                if number is not None:
+                    done = await display.show_number(session, drive, number, led, allowed)
+                else:
+                    done = await display.show_text(session, drive, shown, allowed)
+            except (NoReply, BadReply) as error:
+                if not target.is_group:
+                    raise
+                done = display.Shown("nothing was written", (), (str(error),), is_silent=True)
             _tell_shown(drive, done)
             is_good &= done.is_good
         return is_good
@@ -175,11 +193,13 @@ def keys(chosen: Chosen) -> None:
             registers = [drive.model.registers[name] for name in KEYS if name in drive.model.registers]
             if not registers:
                 raise BadConfig(f"{drive.model.name}: the catalogue knows nothing of the panel's keys")
-            found += await reading.read(session, drive, registers)
+            found += await _readings(session, target, drive, registers)
         return found
 
-    for line in reading.as_lines(_carry_out(target, work)):
+    found = _carry_out(target, work)
+    for line in reading.as_lines(found):
         typer.echo(line)
+    _finish(not any(item.problem for item in found))
 
 
 def proportional_(
@@ -195,8 +215,7 @@ def proportional_(
     _confirm(["the proportional command (S, FA01)"], yes)
 
     async def work(session: Session) -> Sequence[proportional.Followed]:
-        for drive in target.drives:
-            await session.check_model(drive)
+        await writing.check_models(session, target)
         expected = await proportional.expectations(session, target.drives, share, maximum)
         return await proportional.command(session, target.drives, frames, expected)
 

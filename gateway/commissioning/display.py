@@ -33,11 +33,12 @@ class Shown:
     used: str
     outcomes: tuple[Outcome, ...]
     notes: tuple[str, ...] = ()
+    is_silent: bool = False
 
     @property
     def is_good(self) -> bool:
         """Say whether all that was to be written reads back."""
-        return all(outcome.verdict.is_good for outcome in self.outcomes)
+        return not self.is_silent and all(outcome.verdict.is_good for outcome in self.outcomes)
 
 
 def text_parts(drive: Drive, which: int) -> tuple[Register, ...]:

@@ -97,7 +97,8 @@ def scan(
     """
     wish = _wish(port, baud or (), parity or (), protocol or (), numbers, wait_time, is_all=all_settings)
     models = catalogue.load(catalogue_file or [])
-    typer.echo(f"{port}: this takes {_longest(Search(wish, models, SystemClock(), Lines()))} at the most", err=True)
+    longest = _longest(Search(wish, models, SystemClock(), Lines()))
+    typer.echo(f"{port}: this takes {longest} where nobody answers", err=True)
     with Bar() if sys.stderr.isatty() else Lines() as watcher:
         result = _scan(Search(wish, models, SystemClock(), watcher))
     for line in scan_report.sentences(result):

@@ -73,8 +73,7 @@ async def write(session: Session, target: Target, wish: Wish, say: Say) -> bool:
     NoReply: the only drive is silent, and nothing was written. In a group a silent drive may hear all the same.
     """
     plans = plan(target.drives, wish)
-    for drive in target.drives:
-        await _check_model(session, drive, is_alone=not target.is_group)
+    await check_models(session, target)
     plans = plan(target.drives, wish, await _bounds(session, plans))
     for place, writes in enumerate(plans):
         if not await _write(session, writes, target, wish, say):
@@ -85,12 +84,14 @@ async def write(session: Session, target: Target, wish: Wish, say: Say) -> bool:
     return True
 
 
-async def _check_model(session: Session, drive: Drive, *, is_alone: bool) -> None:
-    try:
-        await session.check_model(drive)
-    except (NoReply, BadReply):
-        if is_alone:
-            raise
+async def check_models(session: Session, target: Target) -> None:
+    """See that the drives are of the models that they are said to be; a silent one of a group is let be."""
+    for drive in target.drives:
+        try:
+            await session.check_model(drive)
+        except (NoReply, BadReply):
+            if not target.is_group:
+                raise
 
 
 async def _bounds(session: Session, plans: Sequence[Writes]) -> dict[str, dict[str, int]]:
