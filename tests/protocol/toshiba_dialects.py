@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 from gateway.errors import Refusal
@@ -138,12 +139,10 @@ class Ascii(Toshiba):
             yield word or 0, is_tripped
 
     def last_word(self, frame: bytes) -> int | None:
-        """Return the four digits in front of what ends a frame."""
+        """Return the four digits in front of what ends a frame; a sign is no digit, though Python reads it."""
         end = len(frame) - len(self.closed(""))
-        try:
-            return int(frame[end - 4 : end].decode(), 16)
-        except ValueError:
-            return None
+        digits = frame[end - 4 : end]
+        return int(digits, 16) if re.fullmatch(rb"[0-9A-F]{4}", digits) else None
 
 
 class Binary(Toshiba):
