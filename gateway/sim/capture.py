@@ -50,16 +50,14 @@ class Capture:
 
     def __init__(self, path: Path, opened: float) -> None:
         self._opened = opened
-        self._file = path.open("wb")
+        self._file = path.open("wb", buffering=0)  # each frame is there at once
         self._file.write(header())
-        self._file.flush()
 
     def write(self, entry: Entry) -> None:
         """Write an entry of the journal, where it is a frame on the line."""
         if entry.way in (Way.REQUEST, Way.HEARD) and entry.data:
             try:
                 self._file.write(record(entry, self._opened))
-                self._file.flush()
             except OSError as error:
                 raise GatewayError(f"the capture cannot be written: {error}") from error
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import shutil
-import socket
 import subprocess
 import sys
 import tempfile
@@ -14,6 +13,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from gateway.errors import GatewayError
+from gateway.sim.client import ControlClient
 from gateway.sim.settings import SimulatedLineConfig
 
 PATIENCE = 20.0  # seconds for the process to start or to end
@@ -29,8 +29,7 @@ class SimulatedLine:
         self._config = config
         self._folder = Path(tempfile.mkdtemp(prefix="tosvert-sim-"))
         self._process: subprocess.Popen[str] | None = None
-        self._control: socket.socket | None = None
-        self._answers: Any = None
+        self._client: ControlClient | None = None
         self.port = ""
         self.control = self._folder / "control"
 
@@ -64,20 +63,13 @@ class SimulatedLine:
             self.close()
             raise GatewayError(f"the simulated line did not start: {reason.strip()}")
         self.port = json.loads(first)["port"]
-        self._control = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._control.settimeout(PATIENCE)
-        self._control.connect(str(self.control))
-        self._answers = self._control.makefile("r")
+        self._client = ControlClient(self.control)
 
     def do(self, request: dict[str, Any]) -> Any:
         """Send a control request and return its result; GatewayError says why it was refused."""
-        if self._control is None:
+        if self._client is None:
             raise GatewayError("the simulated line is not running")
-        self._control.sendall(json.dumps(request).encode() + b"\n")
-        answer = json.loads(self._answers.readline())
-        if not answer["ok"]:
-            raise GatewayError(f"{request}: {answer['error']}")
-        return answer["result"]
+        return self._client.do(request)
 
     def stats(self) -> dict[str, Any]:
         """Return what the line counted and how late it was."""
@@ -105,11 +97,9 @@ class SimulatedLine:
 
     def close(self) -> None:
         """End the process and remove what it left."""
-        if self._answers is not None:
-            self._answers.close()
-        if self._control is not None:
-            self._control.close()
-            self._control = None
+        if self._client is not None:
+            self._client.close()
+            self._client = None
         if self._process is not None:
             self._end(self._process)
             self._process = None

@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 from pymodbus.client import ModbusSerialClient
 from pymodbus.exceptions import ModbusIOException
-from pymodbus.pdu.mei_message import ReadDeviceInformationResponse
 
 from gateway.errors import GatewayError
 from gateway.sim.drive_section import SimulatedDriveSection
@@ -53,67 +52,6 @@ def master(line: SimulatedLine) -> Iterator[ModbusSerialClient]:
     keep_gap()
     yield client
     client.close()  # type: ignore[no-untyped-call]
-
-
-def mbpoll(port: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run mbpoll once on a port at 19200 8N2, with addresses as they are on the wire."""
-    keep_gap()
-    command = ["mbpoll", "-m", "rtu", "-b", "19200", "-P", "none", "-s", "2", "-0", "-q", "-1", "-o", "2"]
-    return subprocess.run(
-        [*command, *arguments[:-1], port, *arguments[-1].split()],
-        capture_output=True, text=True, timeout=PATIENCE, check=False,
-    )  # fmt: skip
-
-
-class TestForeignMasters:
-    def test_pymodbus_reads_a_single_and_a_block(self, master: ModbusSerialClient) -> None:
-        """A MODBUS master that knows nothing of these drives reads them."""
-        single = master.read_holding_registers(0xFD00, count=1, device_id=1)
-        assert single.registers == [3000]
-        block = master.read_holding_registers(0x1875, count=5, device_id=1)
-        status, frequency, current, voltage, alarm = block.registers
-        assert status & 0x7FFF == 0x6400
-        assert frequency == 3000
-        assert 3000 < current < 5000
-        assert 5000 < voltage < 5500
-        assert alarm & 0xE4FF == 0
-
-    def test_pymodbus_gets_the_drive_s_errors(self, master: ModbusSerialClient) -> None:
-        """Errors of the drive arrive as MODBUS exceptions."""
-        assert master.read_holding_registers(0x0131, count=1, device_id=1).exception_code == 2
-        assert master.read_holding_registers(0xFD00, count=2, device_id=1).exception_code == 3
-        assert master.write_registers(0x1870, [0xC400, 6000], device_id=1).exception_code == 4
-
-    def test_pymodbus_writes_and_reads_back(self, master: ModbusSerialClient) -> None:
-        """06H and 10H of one word arrive."""
-        assert not master.write_register(0xFA01, 1234, device_id=2).isError()
-        assert master.read_holding_registers(0xFA01, count=1, device_id=2).registers == [1234]
-        assert not master.write_registers(0xFA01, [0], device_id=2).isError()
-        assert master.read_holding_registers(0xFA01, count=1, device_id=2).registers == [0]
-
-    def test_pymodbus_identifies_a_drive(self, master: ModbusSerialClient) -> None:
-        """2BH is the standard's device identification."""
-        answer = master.read_device_information(read_code=1, object_id=0, device_id=2)
-        assert isinstance(answer, ReadDeviceInformationResponse)
-        assert answer.information[0] == b"TOSHIBA"
-        assert answer.information[1].startswith(b"VFMB1")
-
-    def test_pymodbus_finds_nobody_at_another_number(self, master: ModbusSerialClient) -> None:
-        """Number 9 is silent."""
-        master.comm_params.timeout_connect = 0.1
-        with pytest.raises(ModbusIOException):
-            master.read_holding_registers(0xFD00, count=1, device_id=9)
-
-    def test_mbpoll_reads_and_writes(self, line: SimulatedLine) -> None:
-        """The command line of libmodbus reads the block and writes the frequency command."""
-        read = mbpoll(line.port, "-a", "1", "-r", str(0x1875), "-c", "5", "-t", "4:hex", "")
-        assert read.returncode == 0, read.stderr
-        values = [row.split()[-1] for row in read.stdout.splitlines() if row.startswith("[")]
-        assert values[1] == "0x0BB8"
-        written = mbpoll(line.port, "-a", "2", "-r", str(0xFA01), "-t", "4", "4321")
-        assert written.returncode == 0, written.stderr
-        back = mbpoll(line.port, "-a", "2", "-r", str(0xFA01), "-c", "1", "-t", "4", "")
-        assert "4321" in back.stdout
 
 
 class TestTiming:
