@@ -22,6 +22,7 @@ READ_WITH_DUMMY = b"G"
 EXCHANGE, EXCHANGED = b"X", b"Y"
 PROPORTIONAL, PROPORTIONAL_OF_TRIPPED = b"S", b"s"
 MOST_READ_GROUPS = 5
+MOST_STATUS = 0x03  # the write status has bits for F870 and F871 only, for the display too (4.1.3, 7.3.1)
 WORDS = {  # of data behind the command
     READ: 1,
     WRITE_STORED: 2,
@@ -137,7 +138,8 @@ def _exchange(request: Request, registers: Registers) -> bytes:
     count = wanted if wanted <= MOST_READ_GROUPS else 0
     words = registers.read_block(count)
     failed = registers.write_groups([request.word(1 + place) for place in range(groups)])
-    return EXCHANGED + bytes([count, sum(1 << place for place in failed)]) + _bytes(*words)
+    status = sum(1 << place for place in failed) & MOST_STATUS
+    return EXCHANGED + bytes([count, status]) + _bytes(*words)
 
 
 def _bytes(*words: int) -> bytes:

@@ -154,11 +154,12 @@ class TestDisplay:
         """The range of the writes is 0 to 5 (7.3.1)."""
         assert drive(presets=LED_MODE).tell_binary(f"58 06 05 {'0030' * 6}") is None
 
-    def test_each_digit_out_of_range_has_its_bit(self) -> None:
-        """FA70 and FA73 go to 7FH, FA71 and FA72 to FFH, FA74 to 3."""
+    def test_a_digit_out_of_range_is_not_shown_and_told_of_the_first_two(self) -> None:
+        """FA70 and FA73 go to 7FH, FA71 and FA72 to FFH, FA74 to 3; the status goes from 00H to 03H (4.1.3)."""
         rig = drive(presets=LED_MODE)
-        assert rig.tell_binary("58 05 00 0080 00FF 0100 0080 0004") == "59 00 1D"
-        assert rig.tell_binary("58 00 05") == words("59 05 00 0064 00FF 0074 0041 0000")
+        assert rig.tell_binary("58 05 00 0080 00FF 0100 0080 0004") == "59 00 01"
+        assert rig.tell_binary("58 05 00 0030 0100 0031 0032 0004") == "59 00 02"
+        assert rig.tell_binary("58 00 05") == words("59 05 00 0030 00FF 0031 0032 0000")
 
     @pytest.mark.parametrize(
         ("shown", "expected"),

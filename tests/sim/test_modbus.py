@@ -130,6 +130,13 @@ class TestBlocks:
         assert rig.ask("10 1870 0002 04 C400 FFFF") == "90 03"
         assert rig.read("command") == 0
 
+    @pytest.mark.parametrize("body", ["10 1870 0002 04 A000 1770", "17 1875 0002 1870 0002 04 A000 1770"])
+    def test_what_is_behind_a_fault_reset_in_the_frame_is_gone_with_it(self, body: str) -> None:
+        """FA00 bit 13 in the first word: the second is not in RAM after the reset, nor is anything answered."""
+        rig = Rig(presets=READ_FIVE | BOTH_WRITES)
+        assert rig.ask(body) is None
+        assert rig.word("frequency_command") == 0
+
     def test_led_mode_takes_the_block_for_the_display(self) -> None:
         """FA80 = 1: 1875H reads the text that stood there, 1870H sets its first two digits."""
         rig = Rig(presets=READ_FIVE | BOTH_WRITES)
