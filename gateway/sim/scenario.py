@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from gateway.config import Section
 from gateway.sim.doings import AnyDoing
+from gateway.sim.faults import Range
 from gateway.sim.installation import Installation, WrongRequest
 from gateway.sim.journal import Entry, Way
 from gateway.sim.quantities import SpanRange
@@ -23,7 +24,7 @@ SETTLING = 0.002  # seconds from the end of an exchange to the event that waited
 class When(Section):
     """When an event comes, and how often. Of two durations one between them is drawn, each time anew."""
 
-    at: SpanRange | None = Field(None, description="since the line was opened")
+    at: SpanRange | None = Field(None, description="since the line was opened, or since after_exchanges were over")
     after_exchanges: int | None = Field(None, ge=1, description="requests that the line has seen, answered or not")
     every: SpanRange | None = Field(None, description="again, so long after it was due")
     every_exchanges: int | None = Field(None, ge=1, description="again, so many requests later")
@@ -31,8 +32,6 @@ class When(Section):
 
     @model_validator(mode="after")
     def _is_told(self) -> When:
-        if self.at is not None and self.after_exchanges is not None:
-            raise ValueError("at and after_exchanges exclude each other")
         if self.every is not None and self.every_exchanges is not None:
             raise ValueError("every and every_exchanges exclude each other")
         if all(value is None for value in (self.at, self.after_exchanges, self.every, self.every_exchanges)):
@@ -74,16 +73,17 @@ class Pending:
     time: float | None = None
     exchanges: int | None = None
     counted: int = 0  # where every_exchanges counts from
+    delay: Range = (0.0, 0.0)  # seconds behind the exchange that it waits for
 
     @classmethod
     def planned(cls, event: EventSection, rng: Random, opened: float) -> Pending:
         """Plan an event of a line that was opened then."""
         when = event.when
         pending = cls(event, rng, when.times if when.repeats else 1)
-        if when.at is not None:
+        if when.after_exchanges is not None:
+            pending.exchanges, pending.delay = when.after_exchanges, when.at or pending.delay
+        elif when.at is not None:
             pending.time = opened + rng.uniform(*when.at)
-        elif when.after_exchanges is not None:
-            pending.exchanges = when.after_exchanges
         else:
             pending.plan_next(opened, 0)
         return pending
@@ -91,7 +91,7 @@ class Pending:
     def plan_next(self, last: float, exchanges: int) -> None:
         """Plan the next time, counted from the last one and from the exchanges so far."""
         when = self.event.when
-        self.time = self.exchanges = None
+        self.time, self.exchanges, self.delay = None, None, (0.0, 0.0)
         if when.every is not None:
             self.time = last + self.rng.uniform(*when.every)
         elif when.every_exchanges is not None:
@@ -122,7 +122,7 @@ class Scenario:
         for pending in self._pending:
             if pending.exchanges is not None and pending.exchanges <= self._exchanges:
                 pending.counted, pending.exchanges = pending.exchanges, None
-                pending.time = now + SETTLING
+                pending.time = now + SETTLING + pending.rng.uniform(*pending.delay)
 
     def play(self, now: float) -> None:
         """Do all that is due."""

@@ -2,11 +2,13 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import select
 import signal
 import socket
 import subprocess
 import sys
+import termios
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -136,6 +138,112 @@ class TestControl:
         assert line.stats()
 
 
+class SerialPort:
+    """The port as a program opens it, at a baud rate."""
+
+    def __init__(self, name: str, speed: int) -> None:
+        self._descriptor = os.open(name, os.O_RDWR | os.O_NOCTTY)
+        self.set_speed(speed)
+
+    def set_speed(self, speed: int) -> None:
+        """Set the rate as pyserial and libmodbus do."""
+        settings = termios.tcgetattr(self._descriptor)
+        settings[4] = settings[5] = speed
+        termios.tcsetattr(self._descriptor, termios.TCSANOW, settings)
+
+    def write(self, data: bytes) -> None:
+        """Send, after the gap."""
+        keep_gap()
+        os.write(self._descriptor, data)
+
+    def read(self, patience: float = PATIENCE) -> bytes:
+        """Return what comes next; b"" for nothing."""
+        return os.read(self._descriptor, 64) if select.select([self._descriptor], [], [], patience)[0] else b""
+
+    def close(self) -> None:
+        """Close it."""
+        os.close(self._descriptor)
+
+
+ASK, ANSWER = bytes.fromhex("0103FD000001B5A6"), bytes.fromhex("0103020BB8BF06")
+SILENCE = 0.1  # seconds without an answer
+
+
+class TestBaud:
+    @pytest.mark.parametrize("baud", [9600, 19200, 38400])
+    def test_a_master_at_another_rate_is_not_understood(self, baud: int) -> None:
+        """Where the line checks it: of all rates one is answered, and the frames of the others are counted."""
+        config = from_options(["1:vf-nc3"], baud=baud).model_copy(update={"checks_baud": True})
+        with SimulatedLine(config) as line:
+            port = SerialPort(line.port, termios.B1200)
+            answered = []
+            for rate, speed in [(9600, termios.B9600), (19200, termios.B19200), (38400, termios.B38400)]:
+                port.set_speed(speed)
+                port.write(ASK)
+                if port.read(PATIENCE if rate == baud else SILENCE):
+                    answered.append(rate)
+            port.close()
+            assert answered == [baud]
+            counted = line.stats()
+            assert (counted["wrong_baud"], counted["lost"], counted["answers"]) == (2, 2, 1)
+            assert [entry.get("note") for entry in line.log() if entry["way"] == "request"].count(
+                "wrong baud rate"
+            ) == 2
+
+    def test_what_comes_at_another_rate_is_noise(self) -> None:
+        """An answer that is late arrives when the master has changed its rate: as many bytes, and each one wrong."""
+        table = {
+            "checks_baud": True,
+            "drive": [{"number": 1, "model": "vf-nc3", "running_at": 30}],
+            "fault": [{"kind": "late", "value": 0.3}],
+        }
+        with SimulatedLine(SimulatedLineConfig.model_validate(table)) as line:
+            port = SerialPort(line.port, termios.B19200)
+            port.write(ASK)
+            assert port.read(SILENCE) == b""
+            port.set_speed(termios.B9600)
+            noise = port.read()
+            port.close()
+        assert len(noise) == len(ANSWER)
+        assert all(heard != sent for heard, sent in zip(noise, ANSWER, strict=True))
+
+    def test_otherwise_any_rate_will_do(self, line: SimulatedLine) -> None:
+        """A program that sets none is at 38400."""
+        port = SerialPort(line.port, termios.B1200)
+        port.write(ASK)
+        assert port.read() == ANSWER
+        port.close()
+
+
+class TestScenario:
+    def test_a_scenario_runs_behind_the_port(self, tmp_path: Path) -> None:
+        """After two exchanges the adapter is pulled out, and comes back; a drive goes on under another number."""
+        link = tmp_path / "adapter"
+        table = {
+            "link": str(link),
+            "drive": [{"number": 1, "name": "pump", "model": "vf-nc3", "running_at": 30}],
+            "event": [
+                {"after_exchanges": 2, "do": "renumber", "drive": "pump", "number": 7},
+                {"after_exchanges": 2, "do": "unplug"},
+                {"after_exchanges": 2, "at": "200ms", "do": "plug"},
+            ],
+        }
+        with SimulatedLine(SimulatedLineConfig.model_validate(table)) as line:
+            port = SerialPort(line.port, termios.B19200)
+            for _ in range(2):
+                port.write(ASK)
+                assert port.read() == ANSWER
+            port.close()
+            done = [line.do({"do": "log", "count": 4})]
+            while "plug" not in [entry.get("note") for entry in done[-1]][-1:]:
+                done.append(line.do({"do": "log", "count": 4}))
+            assert line.state("pump")["number"] == 7
+            port = SerialPort(str(link), termios.B19200)
+            port.write(bytes.fromhex("0703FD000001B5C0"))
+            assert port.read()[:5] == bytes.fromhex("0703020BB8")
+            port.close()
+
+
 class TestUnplug:
     @pytest.mark.hazard("H14")
     def test_a_master_on_an_unplugged_port_sees_it_go(self, tmp_path: Path) -> None:
@@ -170,6 +278,30 @@ class TestUnplug:
             port.unplug()
 
 
+SIMULATE = [sys.executable, "-m", "gateway", "simulate"]
+TRACED = """\
+link = "{folder}/line"
+trace = true
+[[drive]]
+number = 5
+name = "pump"
+model = "vf-nc3"
+protocol = "toshiba"
+running_at = 20
+[[event]]
+at = "1ms"
+do = "alarm"
+drive = "pump"
+value = 1
+"""
+
+
+def client(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Ask a control socket by hand."""
+    command = [sys.executable, "-m", "gateway.sim.client", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+
+
 class TestProgram:
     def test_simulate_ends_in_order_on_a_signal(self, tmp_path: Path) -> None:
         """SIGTERM removes link and socket, and the exit code says that nothing was wrong."""
@@ -193,6 +325,49 @@ class TestProgram:
         assert has_control
         assert not link.is_symlink()
         assert not control.exists()
+
+    def test_simulate_tells_frames_and_events_as_they_come(self, tmp_path: Path) -> None:
+        """What a user reads while a scenario runs; the control can be asked from a shell."""
+        (tmp_path / "line.toml").write_text(TRACED.format(folder=tmp_path))
+        with subprocess.Popen(
+            [*SIMULATE, str(tmp_path / "line.toml"), "--control", str(tmp_path / "control")],
+            stdout=subprocess.PIPE,
+            text=True,
+        ) as process:
+            assert process.stdout is not None
+            told = [process.stdout.readline().rstrip() for _ in range(5)]
+            shell = "printf '(RFD00)\\r' > line; timeout 0.3 cat line | tr '\\r' '\\n'"
+            answer = subprocess.run(["sh", "-c", shell], cwd=tmp_path, capture_output=True, text=True, check=False)
+            asked = client(tmp_path / "control", "state", "drive=5")
+            wrong = client(tmp_path / "control", "trip", "drive=9", "code=13")
+            process.send_signal(signal.SIGTERM)
+            told += [line.rstrip() for line in process.stdout]
+        assert answer.stdout == "(RFD0007D0)\n"
+        assert json.loads(asked.stdout)["protocol"] == "toshiba"
+        assert (wrong.returncode, "no drive 9; on the line: 5, pump" in wrong.stderr) == (1, True)
+        lines = [re.sub(r"^ *\d+\.\d{4} ", "", line) for line in told[4:]]
+        assert lines[0] == "control " + str(tmp_path / "control")
+        assert "** alarm drive=pump value=1" in lines
+        assert lines[lines.index("-> (RFD00)") + 1] == "<- 5: (RFD0007D0)"
+        assert "** trip drive=9 code=13: no drive 9; on the line: 5, pump" in lines
+
+    @pytest.mark.parametrize(
+        ("arguments", "code", "reason"),
+        [
+            ([], 2, "usage: python -m gateway.sim.client SOCKET DO"),
+            (["/nowhere", "stats"], 1, "/nowhere: No such file or directory"),
+            (["{control}", "trip", "drive"], 1, "drive: give KEY=VALUE"),
+            (["{control}", "dance"], 1, "no such doing 'dance'"),
+        ],
+    )
+    def test_the_client_says_what_is_wrong(
+        self, line: SimulatedLine, arguments: list[str], code: int, reason: str
+    ) -> None:
+        """In a line on its error output, with an exit code."""
+        done = client(*(argument.format(control=line.control) for argument in arguments))
+        assert (done.returncode, done.stdout) == (code, "")
+        assert reason in done.stderr
+        assert "Traceback" not in done.stderr
 
     def test_a_line_that_cannot_start_says_why(self) -> None:
         """The error of the process reaches the program that started it."""

@@ -129,6 +129,15 @@ class TestByExchanges:
         ((when, _),) = happened(wire)
         assert when == pytest.approx(2.0 + EXCHANGE + SETTLING)
 
+    def test_an_event_may_wait_for_time_behind_the_exchange(self) -> None:
+        """Half a second later, once; from then on by the count alone."""
+        wire = line({"after_exchanges": 2, "at": "500ms", "every_exchanges": 2, "times": 2, "do": "babble"}).wire
+        for begin in range(6):
+            ask(wire, float(begin))
+        first, second = (when for when, _ in happened(wire))
+        assert first == pytest.approx(1.0 + EXCHANGE + SETTLING + 0.5)
+        assert second == pytest.approx(3.0 + EXCHANGE + SETTLING)
+
     def test_an_exchange_without_an_answer_counts(self) -> None:
         """Over is it when the silence behind the request is."""
         wire = line({"after_exchanges": 2, "do": "trip", "drive": 1, "code": 13}).wire

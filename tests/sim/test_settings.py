@@ -115,7 +115,6 @@ EVENT = "[[event]]\ndo = 'babble'\n"
         (ONE + EVENT + "at = 5", r"event\[0\].at: a duration in quotes is wanted"),
         (ONE + EVENT + "at = ['1s']", r"event\[0\].at: a duration is wanted, or two between which one is drawn"),
         (ONE + EVENT + "at = ['2s', '1s']", r"event\[0\].at: of two durations the shorter one stands first"),
-        (ONE + EVENT + "at = '1s'\nafter_exchanges = 5", r"event\[0\]: at and after_exchanges exclude each other"),
         (ONE + EVENT + "every = '1s'\nevery_exchanges = 5", r"event\[0\]: every and every_exchanges exclude"),
         (ONE + EVENT + "every = '0s'", r"event\[0\]: every is to be \"1ms\" or longer"),
         (ONE + EVENT + "at = '1s'\ntimes = 3", r"event\[0\]: times belongs to every or every_exchanges"),
