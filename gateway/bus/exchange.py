@@ -102,7 +102,7 @@ class Exchanger:
             data = await self._line.read(deadline)
             if data and not is_started:
                 is_started = True
-                deadline += self._timing.answer(size)
+                deadline += self._timing.answer(max(size, least))
             decoder.feed(data)  # nothing says that the line is silent
             try:
                 reply = decoder.next_reply()

@@ -72,12 +72,12 @@ class BlocksEntry(Entry):
     """[blocks]: the block forms of the model; what is left out it has not got."""
 
     indirect_read_address: Word = 0
-    indirect_read_minimum: int = Field(0, ge=0, le=16)
-    indirect_read_maximum: int = Field(0, ge=0, le=16)
+    indirect_read_minimum: int = Field(0, ge=0, le=5)
+    indirect_read_maximum: int = Field(0, ge=0, le=5)
     indirect_write_address: Word = 0
-    indirect_write_words: int = Field(0, ge=0, le=16)
+    indirect_write_words: int = Field(0, ge=0, le=2)
     has_exchange: bool = False
-    direct_read_maximum: int = Field(0, ge=0, le=125)
+    direct_read_maximum: int = Field(0, ge=0, le=8)
     direct_ranges: list[Pair] = []
     source: Text
 
