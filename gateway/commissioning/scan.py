@@ -138,6 +138,9 @@ async def _look(search: Search, settings: Sequence[Setting], probes: Sequence[Pr
                 more = scan_plan.every_toshiba(search.wish, search.models) if place.hears_toshiba else ()
                 search.watcher.begin(f"{setting}, all numbers", len(more) + len(rest))
                 await place.try_all((*more, *rest))
+                again = scan_plan.worth_a_second_try(place.silent, search.wish)
+                search.watcher.begin(f"{setting}, once more", len(again))
+                await place.try_all(again)
         finally:
             port.close()
         is_found |= any(found.setting == setting for found in search.result.found)
@@ -151,6 +154,7 @@ class _Place:
 
     def __init__(self, setting: Setting, port: Line, search: Search) -> None:
         self.hears_toshiba = False
+        self.silent: list[Probe] = []
         self._setting = setting
         self._port = port
         self._search = search
@@ -174,6 +178,7 @@ class _Place:
             answer, reply = await self._ask(probe)
             self._search.watcher.step()
             if answer is Answer.SILENCE:
+                self.silent.append(probe)
                 continue
             is_heard = True
             if probe.number is None:

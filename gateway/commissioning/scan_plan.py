@@ -118,6 +118,12 @@ def every_toshiba(wish: Wish, models: Mapping[str, Model]) -> tuple[Probe, ...]:
     return tuple(probes)
 
 
+def worth_a_second_try(silent: Iterable[Probe], wish: Wish) -> tuple[Probe, ...]:
+    """Return the numbers that are asked again where others answered: one lost frame shall not hide a drive."""
+    wanted = set(wish.numbers or (0, *LIKELY))
+    return tuple(probe for probe in silent if probe.number in wanted)
+
+
 def _numbered(protocols: Iterable[str], numbers: Iterable[int], models: Mapping[str, Model]) -> tuple[Probe, ...]:
     wanted = tuple(numbers)
     return tuple(_probe(p, n, models) for p in protocols for n in wanted if n in PROTOCOLS[p].forms.numbers)

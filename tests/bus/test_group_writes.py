@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from random import Random
 from typing import Any
 
 import pytest
@@ -12,9 +13,10 @@ from gateway.drives.notation import word_of
 from gateway.protocol.pdu import EVERY_DRIVE, Group, WriteRam
 from gateway.sim.faults import Kind
 from tests.bus.hand import Hand, play
+from tests.soak import FACTOR
 
 STORED = Allowed(stored=True)
-ASCII, BINARY, MODBUS = "toshiba-ascii", "toshiba-binary", "modbus-rtu"
+PROTOCOLS = ASCII, BINARY, MODBUS = "toshiba-ascii", "toshiba-binary", "modbus-rtu"
 
 
 def line(protocol: str, *numbers: int, **more: Any) -> list[dict[str, Any]]:
@@ -150,3 +152,40 @@ def test_a_fault_reset_of_a_group_is_seen_at_each_drive(protocol: str) -> None:
         assert all(outcome.note.startswith("not tripped") for outcome in done.outcomes)
 
     play(line(protocol, 1, 2), scene)
+
+
+def disturbed_group(chance: Random) -> set[Verdict]:
+    """Write to some drives of a mixed, disturbed line; hold each verdict against what the drive holds."""
+    told: set[Verdict] = set()
+    entries = [
+        {"number": number, "model": chance.choice(("vf-nc3", "vf-mb1")), "protocol": chance.choice(PROTOCOLS)}
+        for number in chance.sample(range(1, 30), 5)
+    ]
+    members = [f"d{entry['number']}" for entry in entries if chance.random() < 0.6]
+    faults = [
+        {"kind": kind.value, "probability": chance.uniform(0, 0.3)}
+        for kind in chance.sample((Kind.DROP, Kind.CUT, Kind.TRUNCATE, Kind.FLIP, Kind.ECHO), 2)
+    ]
+
+    async def scene(hand: Hand) -> None:
+        name, value = chance.choice((("frequency_command", "12.34"), ("free_notes", "7")))
+        done = await write(hand, members, name, value)
+        assert [outcome.drive.name for outcome in done.outcomes] == members
+        for outcome in done.outcomes:
+            told.add(outcome.verdict)
+            held = hand.word(outcome.drive.number, name)
+            if outcome.verdict is not Verdict.UNKNOWN:
+                assert outcome.new == held
+                assert outcome.write.reads_back(held) is outcome.verdict.is_good
+        for drive in hand.line.drives:
+            assert drive.name in members or hand.word(drive.number, name) == 0
+            assert hand.wear(drive.number).get(0x0880, 0) <= 1
+
+    play(entries, scene, fault=faults, seed=chance.randrange(1000))
+    return told
+
+
+def test_whatever_goes_wrong_each_verdict_is_what_its_drive_holds() -> None:
+    """Random lines, groups and faults; no drive outside the group is written to, and none twice."""
+    told = [disturbed_group(Random(seed)) for seed in range(30 * FACTOR)]
+    assert {Verdict.DONE, Verdict.NOT_DONE} <= set().union(*told)

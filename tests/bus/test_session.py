@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from random import Random
 from typing import Any
 
 import pytest
@@ -9,10 +10,11 @@ import pytest
 from gateway.bus.session import READ_TRIES
 from gateway.bus.writes import Allowed, PlannedWrite, Verdict, plan_write
 from gateway.drives.notation import word_of
-from gateway.errors import BadConfig, NoReply, Refused
+from gateway.errors import BadConfig, BadReply, NoReply, Refused
 from gateway.sim.faults import Kind
 from gateway.site import Drive
 from tests.bus.hand import Hand, play
+from tests.soak import FACTOR
 
 STORED = Allowed(stored=True)
 PROTOCOLS = ["modbus-rtu", "toshiba-ascii", "toshiba-binary"]
@@ -232,3 +234,41 @@ def test_the_model_is_checked_as_far_as_the_drive_tells(protocol: str) -> None:
         else [nc3(protocol=protocol, registers={"series_code": 7})],
         wrong,
     )
+
+
+FAULTS = (Kind.DROP, Kind.CUT, Kind.LATE, Kind.TRUNCATE, Kind.FLIP, Kind.DUPLICATE, Kind.BABBLE, Kind.ECHO)
+
+
+def disturbed_write(protocol: str, chance: Random) -> Verdict | None:
+    """Write to a drive on a disturbed line, and hold the verdict against what the drive holds; None: not written."""
+    told: list[Verdict] = []
+    value = chance.choice((7, 9))
+
+    async def scene(hand: Hand) -> None:
+        write = planned(hand.drive("d1"), "free_notes", str(value))
+        try:
+            outcome = await hand.session.write(hand.drive("d1"), write)
+        except (NoReply, BadReply):
+            assert hand.sent(write.request, "d1") == 0
+            return
+        told.append(outcome.verdict)
+        assert hand.sent(write.request, "d1") == (outcome.verdict is not Verdict.EQUAL)
+        if outcome.verdict is not Verdict.UNKNOWN:
+            assert outcome.new == hand.word(1, "free_notes")
+            assert (outcome.new == value) is outcome.verdict.is_good
+        assert hand.wear(1).get(0x0880, 0) <= 1
+
+    faults = [{"kind": kind.value, "probability": chance.uniform(0, 0.5)} for kind in chance.sample(FAULTS, 2)]
+    late = [fault | {"value": 0.2} if fault["kind"] == "late" else fault for fault in faults]
+    drive = nc3(protocol=protocol, registers={"free_notes": chance.choice((0, 7))})
+    play([drive], scene, fault=late, seed=chance.randrange(1000))
+    return told[0] if told else None
+
+
+@pytest.mark.hazard("H15")
+@pytest.mark.hazard("H16")
+@every_protocol
+def test_whatever_goes_wrong_the_verdict_is_what_the_drive_holds(protocol: str) -> None:
+    """Random faults, the simulated drive as the judge; a write is sent once at the most."""
+    verdicts = [disturbed_write(protocol, Random(f"{seed} {protocol}")) for seed in range(60 * FACTOR)]
+    assert {Verdict.DONE, Verdict.EQUAL, Verdict.NOT_DONE} <= set(verdicts)

@@ -192,6 +192,14 @@ def test_a_single_disturbed_answer_hides_no_drive() -> None:
     assert {item[0] for item in found(result)} == {5, 6}
 
 
+def test_a_lost_answer_hides_no_drive_where_others_answer() -> None:
+    """Silent numbers are asked once more."""
+    drives = [modbus(5, fault=[{"kind": "drop", "count": 1}]), toshiba(6, fault=[{"kind": "drop", "count": 2}])]
+    stage, result = look([*drives, toshiba(1), modbus(2)])
+    assert {item[0] for item in found(result)} == {1, 2, 5, 6}
+    assert stage.steps == stage.planned
+
+
 def test_a_late_answer_is_not_taken_for_the_next_number_and_told_of() -> None:
     """A send waiting time, F805, makes a drive slow; --wait-time finds it."""
     slow = modbus(5, registers={"communication_wait_time": 20})
