@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from gateway.config import Section, ValueName
+from gateway.drives.register import Register
 from gateway.sim.drive import SimulatedDrive
 from gateway.sim.faults import BABBLE, Fault, Kind
 from gateway.sim.installation import Installation, WrongRequest
@@ -114,14 +115,17 @@ class OfRegister(OfDrive):
 
 
 class SetRegister(OfRegister):
-    """Sets a register at the panel: no protection applies, and no write to the EEPROM is counted."""
+    """Sets a register at the panel, in its range: no protection applies, and no write to the EEPROM is counted."""
 
     do: Literal["set"] = "set"
     value: Word
 
     def act_on(self, drive: SimulatedDrive, now: float) -> None:
         """Set it."""
-        drive.set_by_panel(known(drive, self.register_), self.value)
+        name = known(drive, self.register_)
+        if wrong := outside(drive.model.registers[name], self.value):
+            raise WrongRequest(wrong)
+        drive.set_by_panel(name, self.value)
 
 
 class Force(OfRegister):
@@ -293,6 +297,15 @@ def known(drive: SimulatedDrive, name: str) -> str:
         model = drive.model.name
         raise WrongRequest(f"{model} has no register {name!r}; `tosvert-gateway registers {model}` lists them")
     return name
+
+
+def outside(register: Register, word: int) -> str:
+    """Say what a register takes, where that word is not of it; "" where it is."""
+    raw = register.scaling.raw(word)
+    low, high = register.scaling.limits
+    low = low if register.minimum is None else register.minimum
+    high = high if register.maximum is None else register.maximum
+    return "" if low <= raw <= high else f"{register.name} takes {low} to {high} (given: {raw})"
 
 
 AnyDoing = Annotated[

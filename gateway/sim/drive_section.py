@@ -13,7 +13,7 @@ from gateway.config import Section, ValueName
 from gateway.drives.model import Model
 from gateway.errors import BadConfig
 from gateway.sim.condition import Limits
-from gateway.sim.doings import OF_THE_LINE, FaultSection
+from gateway.sim.doings import OF_THE_LINE, FaultSection, outside
 from gateway.sim.drive import BAUD_CODES, PARITY_CODES, SimulatedDrive
 from gateway.sim.options import DriveOptions
 from gateway.sim.quantities import DriveName, Hertz, Number, Span, Word
@@ -75,6 +75,8 @@ def make(
     presets = {**_line_settings(line, model), **_selectors(section, model), **section.registers}
     if unknown := [name for name in presets if name not in model.registers]:
         raise BadConfig(f"{section.model} has no register {', '.join(unknown)}")
+    if wrong := [text for name, word in presets.items() if (text := outside(model.registers[name], word))]:
+        raise BadConfig(f"registers: {'; '.join(wrong)}")
     try:
         of_capacity(model, section.capacity)
     except KeyError:

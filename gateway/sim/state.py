@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+from gateway.sim import display
 from gateway.sim.drive import SimulatedDrive
 from gateway.sim.inverter import Inverter
 from gateway.sim.options import PROTOCOLS
 
 PROTOCOL_NAMES = {code: name for name, code in PROTOCOLS.items()}
 BY_COMMUNICATION = 18  # F710 (E6581657 7.3.1)
-NUMBER, TEXT_1, TEXT_2 = range(3)  # FA65
-POINT = 0x80  # of a character: with a decimal point behind it
+UNITS = ("", " Hz", " %", " Hz %")  # the lights beside the digits
 
 
 def state(drive: SimulatedDrive, name: str | None, opened: float) -> dict[str, Any]:
@@ -33,7 +33,7 @@ def state(drive: SimulatedDrive, name: str | None, opened: float) -> dict[str, A
         "alarm": condition.alarm,
         "timeout": _timeout(inverter),
         "selectors": _selectors(inverter),
-        "panel": panel_text(inverter),
+        "panel": _panel(inverter),
         "frames_heard": drive.frames_heard,
         "messages_acknowledged": drive.messages_acknowledged,
         "acknowledged_at": None if drive.acknowledged is None else drive.acknowledged - opened,
@@ -67,19 +67,15 @@ def _selectors(inverter: Inverter) -> dict[str, list[str]]:
     }
 
 
-def panel_text(inverter: Inverter) -> str | None:
-    """Return what the host wrote on the panel's LEDs; None while F710 shows something else."""
+def _panel(inverter: Inverter) -> str | None:
+    """Return what the host shows on the panel's LEDs; None while F710 has something else shown."""
     memory = inverter.memory
     if memory.word("standard_monitor") != BY_COMMUNICATION:
         return None
-    chosen = memory.word("led_selection")
-    if chosen == NUMBER:
-        number, decimals = memory.word("led_number"), memory.word("led_decimal_point")
-        return f"{number / 10**decimals:.{decimals}f}"
-    digits = [memory.word(f"led_text_{chosen}_digit_{place}") for place in range(1, 5)]
-    return "".join(_character(digit) for digit in digits)
+    *digits, unit = display.shown(memory)
+    return "".join(map(_character, digits)) + UNITS[unit & 3]
 
 
 def _character(code: int) -> str:
-    letter = chr(code & ~POINT & 0xFF)
-    return (letter if letter.isprintable() else " ") + ("." if code & POINT else "")
+    letter = chr(code & ~display.DOT & 0xFF)
+    return (letter if letter.isprintable() else " ") + ("." if code & display.DOT else "")

@@ -103,7 +103,7 @@ class TestState:
             ({"standard_monitor": 18, "led_text_1_digit_2": 0xB0, "led_text_1_digit_4": 3}, "d0.t "),
             ({"standard_monitor": 18, "led_selection": 2}, "0000"),
             ({"standard_monitor": 18, "led_selection": 0, "led_number": 1234, "led_decimal_point": 2}, "12.34"),
-            ({"standard_monitor": 18, "led_selection": 0, "led_number": 7}, "7"),
+            ({"standard_monitor": 18, "led_selection": 0, "led_number": 7, "led_unit_0": 1}, "   7 Hz"),
         ],
     )
     def test_it_shows_the_panel_s_text(self, line: OpenLine, settings: dict[str, int], text: str | None) -> None:
@@ -230,6 +230,7 @@ class TestQuestions:
         ({"do": "trip", "drive": 1, "code": 13, "when": "now"}, "when: unknown key"),
         ({"do": "state", "drive": "fan"}, "no drive fan; on the line: 1, 2, pump"),
         ({"do": "set", "drive": 1, "register": "colour", "value": 1}, "vf-nc3 has no register 'colour'; `tosvert"),
+        ({"do": "set", "drive": 1, "register": "led_selection", "value": 3}, "led_selection takes 0 to 2 (given: 3)"),
         ({"do": "fault", "kind": "gremlin"}, "kind: Input should be 'cut', "),
         ({"do": "fault", "kind": "drop", "value": 1}, "drop takes no value"),
         ({"do": "fault", "kind": "echo", "drive": 1}, "echo is a fault of the line: it takes no drive"),

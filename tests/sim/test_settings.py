@@ -179,6 +179,10 @@ def test_a_file_that_is_not_there_is_said_so(tmp_path: Path) -> None:
         ({"capacity": "VFnC3-9999P"}, "no capacity 'VFnC3-9999P'; known: 0: VFnC3-2001P"),
         ({"block_read": [10]}, "no such selection: block_read_1 = 10"),
         ({"registers": {"colour": 1}}, "vf-nc3 has no register colour"),
+        (
+            {"registers": {"led_selection": 3, "number": 300}},
+            r"registers: led_selection takes 0 to 2 \(given: 3\); number",
+        ),
         ({"model": "vf-as3", "block_read": [1]}, "vf-as3 has 0 selectors for block_read"),
     ],
 )
