@@ -102,8 +102,8 @@ class Plant:
         return answer.exception_code if answer.isError() else list(answer.registers)
 
 
-def write_config(folder: Path, port: str, broker: int, tcp: int, web: int) -> Path:
-    """Write the gateway's file for the three drives."""
+def write_config(folder: Path, port: str, broker: int, tcp: int, web: int, more: str = "") -> Path:
+    """Write the gateway's file for the three drives; `more` are further keys of each."""
     path = folder / "gateway.toml"
     text = f"""
 [gateway]
@@ -127,6 +127,7 @@ parity = "even"
 name = "{name}"
 number = {number}
 model = "{model}"
+{more}
 poll = [{{ values = ["status", "output_frequency", "output_current", "output_voltage", "alarm"], every = "200ms" }},
         {{ values = ["trip_code", "cumulative_operation_time"], every = "2s" }}]
 """
@@ -152,12 +153,19 @@ def gateway(config: Path, log: Path, *options: str) -> Iterator[subprocess.Popen
 @pytest.fixture
 def plant(tmp_path: Path) -> Iterator[Plant]:
     """Start everything and wait until the gateway is healthy."""
-    link = tmp_path / "line"
-    config = SimulatedLineConfig.model_validate({"drive": DRIVES, "link": str(link)})
+    with running(tmp_path, DRIVES) as made:
+        yield made
+
+
+@contextlib.contextmanager
+def running(folder: Path, drives: list[dict[str, Any]], more: str = "") -> Iterator[Plant]:
+    """Start everything with these simulated drives; `more` are further keys of each in the gateway's file."""
+    link = folder / "line"
+    config = SimulatedLineConfig.model_validate({"drive": drives, "link": str(link)})
     with SimulatedLine(config) as line, Mosquitto() as broker:
         tcp, web = free_port(), free_port()
-        file = write_config(tmp_path, str(link), broker.port, tcp, web)
-        log = tmp_path / "log"
+        file = write_config(folder, str(link), broker.port, tcp, web, more)
+        log = folder / "log"
         with gateway(file, log) as process:
             made = Plant(line, broker, file, tcp, web, process, log)
             try:
@@ -189,6 +197,27 @@ def test_values_reach_mosquitto_sub_mbpoll_and_pymodbus(plant: Plant) -> None:
         assert block[2] < 1000
         assert block[4] == hundredths
     assert plant.line.stats()["gap_violations"] == 0
+
+
+@pytest.mark.parametrize("protocol", ["toshiba-ascii", "toshiba-binary"])
+def test_drives_as_shipped_are_read_provisioned_and_tell_a_trip(tmp_path: Path, protocol: str) -> None:
+    """F829 = 0, no selector set: values at once; binary asks for a reset and uses the block behind it."""
+    shipped = [{"number": drive["number"], "model": drive["model"], "protocol": "toshiba"} for drive in DRIVES]
+    with running(tmp_path, shipped, f'protocol = "{protocol}"\nprovision = true') as plant:
+        wanted = "true" if protocol == "toshiba-binary" else "false"
+        until(lambda: plant.retained("tosvert/hall-3/pump-1/reset_needed") == wanted, "word of the reset")
+        plant.line.do({"do": "run", "drive": 1, "frequency": 30.0})
+        until(lambda: plant.retained("tosvert/hall-3/pump-1/output_frequency") == "30.00", "the frequency")
+        if protocol == "toshiba-binary":
+            plant.line.do({"do": "power_cycle", "drive": 1})
+            until(lambda: plant.retained("tosvert/hall-3/pump-1/reset_needed") == "false", "the reset to be seen")
+            writes = plant.line.state(1)["eeprom_writes"]
+            assert writes == {f"{address:04X}": 1 for address in range(0x0875, 0x087A)}
+            assert 'tosvert_drive_eeprom_writes_total{drive="pump-1",line="a",number="0875"} 1.0' in plant.metrics()
+        plant.line.do({"do": "trip", "drive": 1, "code": 1})
+        until(lambda: plant.retained("tosvert/hall-3/pump-1/tripped") == "true", "the trip")
+        until(lambda: plant.retained("tosvert/hall-3/pump-1/trip_code") == "1", "its code")
+        assert plant.line.stats()["gap_violations"] == 0
 
 
 @pytest.mark.hazard("H19")
