@@ -39,7 +39,7 @@ test-quick: $(VENV)/.dev $(VENV)/.package ## the tests that need no other progra
 soak: $(VENV)/.dev $(VENV)/.package programs ## the tests with ten times as many inputs (SOAK=100: a hundred times)
 	@PATH="$$PATH:/usr/sbin" TOSVERT_SOAK=$(SOAK) $(BIN)/pytest -q $(TEST_ARGS)
 
-bench: $(VENV)/.dev $(VENV)/.package ## measure line utilisation and MODBUS-TCP throughput beside other programs
+bench: $(VENV)/.dev $(VENV)/.package ## measure line use, block forms, control cycles and MODBUS-TCP beside other programs
 	@$(BIN)/python -m bench.run $(BENCH_ARGS)
 
 generate: $(VENV)/.dev $(VENV)/.package ## write the generated files anew: JSON Schema, table of licences

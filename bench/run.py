@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-BENCHMARKS = ("bench.line_load", "bench.tcp_load")
+BENCHMARKS = ("bench.line_load", "bench.block_forms", "bench.control_cycle", "bench.tcp_load")
 
 
 def main() -> None:
