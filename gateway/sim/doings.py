@@ -283,6 +283,8 @@ def _shown(value: object) -> str:
     """Write an argument as short as it was given."""
     if isinstance(value, list):
         return f"[{', '.join(map(_shown, value))}]"
+    if isinstance(value, bool):
+        return str(value).lower()
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
