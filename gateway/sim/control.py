@@ -64,7 +64,11 @@ class ControlSocket:
         self._clients: dict[int, tuple[socket.socket, bytearray]] = {}
         _clear_the_way(path)
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._listener.bind(str(path))
+        try:
+            self._listener.bind(str(path))
+        except OSError:
+            self._listener.close()
+            raise
         path.chmod(0o600)
         self._listener.listen()
         self._listener.setblocking(False)

@@ -261,7 +261,10 @@ class Plug(Doing):
 
     def act(self, line: Installation, now: float) -> str:
         """Put it back."""
-        line.port.plug()
+        try:
+            line.port.plug()
+        except OSError as error:
+            raise WrongRequest(f"link: {error.strerror or error}") from error
         return line.port.name
 
 
@@ -276,7 +279,7 @@ class StartCapture(Doing):
         try:
             line.capture(Path(self.file) if self.file else None)
         except OSError as error:
-            raise WrongRequest(f"file: {error}") from error
+            raise WrongRequest(f"file {self.file}: {error.strerror or error}") from error
 
 
 def _shown(value: object) -> str:

@@ -46,7 +46,11 @@ class PtyPort:
         os.set_blocking(self._own, False)
         self.name = os.ttyname(self._others)
         if self._link is not None:
-            self._point(self._link)
+            try:
+                self._point(self._link)
+            except OSError:
+                self.unplug()
+                raise
 
     def _point(self, link: Path) -> None:
         """Set the link in one step: whoever opens it finds the old port or the new one."""

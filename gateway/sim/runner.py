@@ -46,19 +46,27 @@ def simulate(config: SimulatedLineConfig, *, control: Path | None, announce: Cal
 def opened(config: SimulatedLineConfig, control: Path | None) -> Iterator[OpenLine]:
     """Open the port and the control socket, and take both away in the end; GatewayError says what is in the way."""
     with contextlib.ExitStack() as stack:
-        try:
+        with _blamed_on(f"link {config.link}" if config.link else "pseudo-terminal"):
             port = PtyPort(Path(config.link) if config.link else None)
-            stack.callback(port.unplug)
-            line = install(config, time.monotonic(), port)
-            stack.callback(line.capture, None)
-            loop = LineLoop(line.wire, port, config.baud if config.checks_baud else None)
-            stack.callback(loop.close)
-            controls = Control(line, loop)
-            if control is not None:
+        stack.callback(port.unplug)
+        line = install(config, time.monotonic(), port)
+        stack.callback(line.capture, None)
+        loop = LineLoop(line.wire, port, config.baud if config.checks_baud else None)
+        stack.callback(loop.close)
+        controls = Control(line, loop)
+        if control is not None:
+            with _blamed_on(f"control {control}"):
                 stack.callback(ControlSocket(control, controls, loop).close)
-        except OSError as error:
-            raise GatewayError(f"the simulated line cannot be opened: {error}") from error
         yield OpenLine(loop, controls)
+
+
+@contextlib.contextmanager
+def _blamed_on(what: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+        raise GatewayError(f"the simulated line cannot be opened: {what}: {reason}") from error
 
 
 @contextlib.contextmanager

@@ -179,6 +179,18 @@ class TestDoings:
         assert result(line, do="plug") == line.loop.port.name
         assert Path(line.loop.port.name).exists()
 
+    def test_a_link_that_is_taken_keeps_the_adapter_out(self, tmp_path: Path) -> None:
+        """A file stands there by now; once it is gone, the adapter can be plugged in."""
+        link = tmp_path / "line"
+        config = from_options(["1:vf-nc3"]).model_copy(update={"link": str(link)})
+        with opened(config, None) as line:
+            result(line, do="unplug")
+            link.write_text("mine")
+            assert refusal(line, do="plug") == f"link: {link} exists and is no link"
+            assert line.loop.port.descriptor is None
+            link.unlink()
+            assert result(line, do="plug") == str(link.readlink())
+
     def test_a_capture_that_cannot_be_written_is_refused(self, line: OpenLine, tmp_path: Path) -> None:
         """The reason is the system's."""
         assert "No such file" in refusal(line, do="capture", file=str(tmp_path / "none" / "line.pcap"))
@@ -280,6 +292,17 @@ def test_a_control_socket_in_use_is_not_taken_over(tmp_path: Path) -> None:
             pass
         assert path.is_socket()
     assert not path.exists()
+
+
+def test_what_is_in_the_way_of_a_line_is_named(tmp_path: Path) -> None:
+    """The link or the control socket, and why."""
+    link, control = tmp_path / "none" / "line", tmp_path / "none" / "control"
+    config = from_options(["1:vf-nc3"])
+    linked = config.model_copy(update={"link": str(link)})
+    with pytest.raises(GatewayError, match=f"link {link}: No such file or directory"), opened(linked, None):
+        pass
+    with pytest.raises(GatewayError, match=f"control {control}: No such file or directory"), opened(config, control):
+        pass
 
 
 def test_a_line_is_described_to_its_user() -> None:
