@@ -6,16 +6,21 @@ import select
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from gateway.errors import GatewayError
+from gateway.sim.control import REQUEST
 from gateway.sim.faults import Kind
 from gateway.sim.lateness import Lateness
 from gateway.sim.runner import OpenLine, describe, opened
 from gateway.sim.settings import SimulatedLineConfig, from_options
 from tests.sim.rig import framed
+from tests.soak import FACTOR
 
 PATIENCE = 10.0  # seconds for what takes milliseconds
 
@@ -256,6 +261,69 @@ class TestQuestions:
 def test_a_wrong_request_is_refused_with_its_reason(line: OpenLine, request_: dict[str, Any], reason: str) -> None:
     """The key that is wrong, and what would be right."""
     assert refusal(line, **request_).startswith(reason)
+
+
+DRIVE = st.one_of(st.integers(0, 7), st.sampled_from(["pump", "fan", "old", "nobody"]))
+WORD = st.integers(0, 0xFFFF)
+REGISTERS = (
+    "number protocol baud_rate block_read_1 block_mode led_selection led_number standard_monitor free_notes none"
+)
+COMMANDS = "communication_timeout panel_frequency frequency_command command output_frequency trip_code master_slave"
+REGISTER = st.sampled_from([*REGISTERS.split(), *COMMANDS.split()])
+AMOUNT = st.one_of(st.integers(0, 300), st.lists(st.integers(0, 300), min_size=2, max_size=2).map(sorted))
+KEYS: dict[str, st.SearchStrategy[Any]] = {
+    "drive": DRIVE,
+    "code": st.integers(1, 255),
+    "value": st.one_of(WORD, AMOUNT),
+    "frequency": st.floats(0, 500),
+    "reverse": st.booleans(),
+    "register": REGISTER,
+    "number": st.integers(0, 247),
+    "seconds": st.floats(0, 2),
+    "on": st.booleans(),
+    "kind": st.sampled_from([kind.value for kind in Kind]),
+    "probability": st.floats(0, 1),
+    "count": st.integers(1, 50),
+    "after": st.sampled_from(["0s", "1s"]),
+    "until": st.sampled_from(["2s", "1min"]),
+    "bytes": AMOUNT,
+}
+LASTING = ("unplug", "plug", "capture")  # of a port and a disk
+
+
+@st.composite
+def requests(draw: st.DrawFn) -> dict[str, Any]:
+    """Draw a request with its keys, some of those that may be left out, and values that may be right."""
+    schemas = REQUEST.json_schema(by_alias=True)
+    mapping = schemas["discriminator"]["mapping"]
+    do = draw(st.sampled_from([name for name in mapping if name not in LASTING]))
+    schema = schemas["$defs"][mapping[do].rsplit("/", 1)[1]]
+    keys = [key for key in schema["properties"] if key != "do"]
+    chosen = [key for key in keys if key in schema.get("required", []) or draw(st.booleans())]
+    return {"do": do} | {key: draw(KEYS[key]) for key in chosen}
+
+
+@given(st.lists(requests(), min_size=1, max_size=15), st.randoms(use_true_random=False))
+@settings(max_examples=50 * FACTOR)
+def test_no_request_is_fatal(asked: list[dict[str, Any]], rng: Random) -> None:
+    """Whatever is done to drives of every model and protocol, the line goes on and answers every request."""
+    table = {
+        "drive": [
+            {"number": 1, "name": "pump", "model": "vf-nc3", "running_at": 30},
+            {"number": 2, "name": "fan", "model": "vf-mb1", "protocol": "toshiba"},
+            {"number": 3, "name": "old", "model": "vf-as3"},
+        ]
+    }
+    frames = [framed("03 1875 0005"), framed("06 FA00 C400", 3), b"(02RFD01)\r", b"(**PFA011770)\r", b"/X\5\5", b"("]
+    with opened(SimulatedLineConfig.model_validate(table), None) as line:
+        wire, now = line.loop.wire, line.control.line.opened
+        for request in asked:
+            answer = json.loads(line.control.do_line(json.dumps(request).encode()))
+            assert answer["ok"] or answer["error"], request
+            now += rng.uniform(0.0, 0.3)
+            wire.feed(rng.choice(frames), now)
+            wire.due(now + 0.1)
+        assert line.control.do({"do": "state"})["ok"]
 
 
 @pytest.mark.parametrize("text", [b"", b"{", b"[]", b'"stats"', b'{"do": "set", "drive": 1}', b'{"do": "run"}'])
