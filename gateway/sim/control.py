@@ -11,7 +11,8 @@ from typing import Annotated, Any
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from gateway.sim.doings import AnyDoing, Doing
+from gateway.sim.doing import Doing
+from gateway.sim.doings import AnyDoing
 from gateway.sim.installation import Installation, WrongRequest
 from gateway.sim.loop import LineLoop
 from gateway.sim.quantities import problems

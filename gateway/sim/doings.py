@@ -3,75 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from gateway.config import Section, ValueName
-from gateway.drives.register import Register
+from gateway.sim.doing import Doing, OfDrive, OfRegister, known, outside
 from gateway.sim.drive import SimulatedDrive
+from gateway.sim.fault_section import OF_THE_LINE, FaultSection, whose
 from gateway.sim.faults import BABBLE, Fault, Kind
 from gateway.sim.installation import Installation, WrongRequest
-from gateway.sim.quantities import Amount, DriveKey, Hertz, Number, Span, Word, is_whole
-
-SECONDS_OF = (Kind.LATE, Kind.DUPLICATE, Kind.SPLIT)
-COUNTS_OF = {Kind.REQUEST_FLIP: "bits", Kind.FLIP: "bits", Kind.TRUNCATE: "bytes", Kind.BABBLE: "bytes"}
-OF_THE_LINE = (Kind.ECHO,)  # an adapter's, whichever drive answers
-
-
-class FaultSection(Section):
-    """A fault; `value` is seconds, bytes or bits, as its kind wants."""
-
-    kind: Kind = Field(strict=False)
-    value: Amount | None = Field(None, description="a number, or two between which one is drawn each time")
-    probability: float = Field(1.0, ge=0, le=1)
-    count: int | None = Field(None, ge=1, description="how often it strikes; without end by default")
-    after: Span = Field(0.0, ge=0, description="since the line was opened, or since the fault began")
-    until: Span | None = Field(None, gt=0, description="the same")
-
-    @model_validator(mode="after")
-    def _fits_its_kind(self) -> FaultSection:
-        kind = self.kind.value
-        if self.value is not None and self.kind not in (*SECONDS_OF, *COUNTS_OF):
-            raise ValueError(f"{kind} takes no value")
-        if self.kind in COUNTS_OF and not is_whole(self.value):
-            raise ValueError(f"the value of {kind} counts {COUNTS_OF[self.kind]}: a whole number is wanted")
-        if self.until is not None and self.until <= self.after:
-            raise ValueError("until is to be later than after")
-        return self
-
-    def fault(self, drive: SimulatedDrive | None, now: float) -> Fault:
-        """Return the fault of a drive or, without one, of the line; its times are counted from now."""
-        until = float("inf") if self.until is None else now + self.until
-        return Fault(self.kind, drive, self.value, self.probability, self.count, now + self.after, until)
-
-
-class Doing(Section):
-    """Something that is done to the line at a moment; its fields are what it takes."""
-
-    do: str
-
-    def act(self, line: Installation, now: float) -> Any:
-        """Do it; WrongRequest says why not."""
-        raise NotImplementedError
-
-    def __str__(self) -> str:
-        table = self.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude={"do"})
-        return " ".join([self.do, *(f"{key}={_shown(value)}" for key, value in table.items())])
-
-
-class OfDrive(Doing):
-    """Something that is done to one drive."""
-
-    drive: DriveKey
-
-    def act(self, line: Installation, now: float) -> Any:
-        """Do it to the drive as it is now."""
-        return self.act_on(line.drive(self.drive, now), now)
-
-    def act_on(self, drive: SimulatedDrive, now: float) -> Any:
-        """Do it; WrongRequest says why not."""
-        raise NotImplementedError
+from gateway.sim.quantities import Amount, DriveKey, Hertz, Number, Word, is_whole
 
 
 class Trip(OfDrive):
@@ -106,12 +47,6 @@ class Run(OfDrive):
     def act_on(self, drive: SimulatedDrive, now: float) -> None:
         """Press it."""
         drive.inverter.run_by_panel(self.frequency, is_reverse=self.reverse)
-
-
-class OfRegister(OfDrive):
-    """Something that is done to a register of a drive."""
-
-    register_: ValueName = Field(alias="register", description="by its name in the catalogue")
 
 
 class SetRegister(OfRegister):
@@ -158,7 +93,7 @@ class PowerCycle(Doing):
 
     do: Literal["power_cycle"] = "power_cycle"
     drive: DriveKey | None = None
-    seconds: float = Field(0.0, ge=0)
+    seconds: float = Field(0.0, ge=0, allow_inf_nan=False)
 
     def act(self, line: Installation, now: float) -> None:
         """Switch off and on."""
@@ -280,37 +215,6 @@ class StartCapture(Doing):
             line.capture(Path(self.file) if self.file else None)
         except OSError as error:
             raise WrongRequest(f"file {self.file}: {error.strerror or error}") from error
-
-
-def _shown(value: object) -> str:
-    """Write an argument as short as it was given."""
-    if isinstance(value, list):
-        return f"[{', '.join(map(_shown, value))}]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def whose(drive: SimulatedDrive | None) -> tuple[object, ...]:
-    """Return by what a drive's faults go: itself, or the number it has now; none for the line's own."""
-    return () if drive is None else (drive, drive.number)
-
-
-def known(drive: SimulatedDrive, name: str) -> str:
-    """Return the name of a register that the drive has; WrongRequest where it has none of that name."""
-    if not drive.inverter.memory.has(name):
-        model = drive.model.name
-        raise WrongRequest(f"{model} has no register {name!r}; `tosvert-gateway registers {model}` lists them")
-    return name
-
-
-def outside(register: Register, word: int) -> str:
-    """Say what a register takes, where that word is not of it; "" where it is."""
-    raw = register.scaling.raw(word)
-    low, high = register.scaling.limits
-    low = low if register.minimum is None else register.minimum
-    high = high if register.maximum is None else register.maximum
-    return "" if low <= raw <= high else f"{register.name} takes {low} to {high} (given: {raw})"
 
 
 AnyDoing = Annotated[

@@ -13,8 +13,9 @@ from gateway.config import Section, ValueName
 from gateway.drives.model import Model
 from gateway.errors import BadConfig
 from gateway.sim.condition import Limits
-from gateway.sim.doings import OF_THE_LINE, FaultSection, outside
+from gateway.sim.doing import outside
 from gateway.sim.drive import BAUD_CODES, PARITY_CODES, SimulatedDrive
+from gateway.sim.fault_section import OF_THE_LINE, FaultSection
 from gateway.sim.options import DriveOptions
 from gateway.sim.quantities import DriveName, Hertz, Number, Span, Word
 from gateway.sim.ratings import of_capacity

@@ -12,6 +12,7 @@ from gateway.config import Duration, seconds
 from gateway.sim.faults import Range
 
 LARGEST_NUMBER = 247  # F802
+LARGEST = 65_535  # seconds, bytes or bits of a fault
 DRIVE_NAME = r"^[A-Za-z][A-Za-z0-9_.-]*$"
 
 
@@ -38,8 +39,8 @@ def _amount(value: object) -> float | Range:
     """Read a number or two of them; ValueError says the form."""
     both = value if isinstance(value, list | tuple) else [value]
     numbers = [float(item) for item in both if isinstance(item, int | float) and not isinstance(item, bool)]
-    if len(numbers) != len(both) or len(both) not in (1, 2) or min(numbers) < 0:
-        raise ValueError("a number from 0 up is wanted, or two between which one is drawn: [1, 8]")
+    if len(numbers) != len(both) or len(both) not in (1, 2) or not all(0 <= number <= LARGEST for number in numbers):
+        raise ValueError(f"a number from 0 to {LARGEST} is wanted, or two between which one is drawn: [1, 8]")
     if numbers[0] > numbers[-1]:
         raise ValueError("of two numbers the smaller one stands first")
     return (numbers[0], numbers[1]) if isinstance(value, list | tuple) and len(numbers) == 2 else numbers[0]

@@ -17,9 +17,11 @@ from gateway.drives import catalogue
 from gateway.drives.model import Model
 from gateway.errors import BadConfig
 from gateway.protocol.timing import LineTiming
-from gateway.sim.doings import FaultSection, OfRegister, Renumber, known
+from gateway.sim.doing import OfRegister, known
+from gateway.sim.doings import Renumber
 from gateway.sim.drive import SimulatedDrive
 from gateway.sim.drive_section import LineDefaults, Protocol, SimulatedDriveSection, make
+from gateway.sim.fault_section import FaultSection
 from gateway.sim.faults import Faults
 from gateway.sim.installation import Adapter, Installation, WrongRequest
 from gateway.sim.quantities import Span, problems

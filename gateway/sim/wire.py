@@ -11,13 +11,13 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Protocol
 
 from gateway.protocol.timing import SPLIT_CHARACTERS, LineTiming
 from gateway.sim.drive import SimulatedDrive
 from gateway.sim.faults import Faults, Kind
 from gateway.sim.frames import is_whole
 from gateway.sim.journal import Entry, Journal, Way
+from gateway.sim.script import Script
 from gateway.sim.statistics import WireStatistics
 
 ROUNDING = 1e-6  # seconds; a gap that is shorter by less than this is kept
@@ -28,23 +28,6 @@ class Delivery(Enum):
 
     FRAME = "frame"
     CHARACTER = "character"
-
-
-class Script(Protocol):
-    """What is to happen to the line by itself."""
-
-    @property
-    def next_time(self) -> float | None:
-        """Return when something is to happen; None for never."""
-        ...
-
-    def play(self, now: float) -> None:
-        """Let happen what is due."""
-        ...
-
-    def exchange_over(self, now: float) -> None:
-        """Note that no exchange is under way, or that the master goes on to the next one."""
-        ...
 
 
 @dataclass(slots=True)

@@ -253,8 +253,12 @@ class TestQuestions:
         ({"do": "fault", "kind": "echo", "drive": 1}, "echo is a fault of the line: it takes no drive"),
         ({"do": "fault", "kind": "flip", "value": 1.5}, "the value of flip counts bits: a whole number"),
         ({"do": "fault", "kind": "late", "value": [2, 1]}, "value: of two numbers the smaller one stands first"),
-        ({"do": "babble", "bytes": -1}, "bytes: a number from 0 up is wanted, or two"),
+        ({"do": "babble", "bytes": -1}, "bytes: a number from 0 to 65535 is wanted, or two"),
         ({"do": "babble", "bytes": 0.5}, "bytes counts bytes"),
+        ({"do": "babble", "bytes": 65_536}, "bytes: a number from 0 to 65535 is wanted"),
+        ({"do": "fault", "kind": "late", "value": float("inf")}, "value: a number from 0 to 65535 is wanted"),
+        ({"do": "fault", "kind": "late", "value": float("nan")}, "value: a number from 0 to 65535 is wanted"),
+        ({"do": "power_cycle", "seconds": float("inf")}, "seconds: Input should be a finite number"),
         ({"do": "log", "count": 0}, "count: Input should be greater than or equal to 1"),
     ],
 )

@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from gateway.sim.control import REQUEST
-from gateway.sim.doings import FaultSection
 from gateway.sim.drive_section import SimulatedDriveSection
+from gateway.sim.fault_section import FaultSection
 from gateway.sim.faults import Kind
 from gateway.sim.installation import Installation
 from gateway.sim.journal import Way

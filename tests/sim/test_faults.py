@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from gateway.sim.doings import whose
+from gateway.sim.fault_section import whose
 from gateway.sim.faults import Fault, Kind
 from gateway.sim.modbus import is_whole
 from gateway.sim.wire import Wire

@@ -109,7 +109,10 @@ EVENT = "[[event]]\ndo = 'babble'\n"
         (ONE + "[[drive.fault]]\nkind = 'echo'", r"drive\[0\]: fault\[0\]: echo is a fault of the line"),
         (ONE + "[[fault]]\nkind = 'cut'\nvalue = 1", r"fault\[0\]: cut takes no value"),
         (ONE + "[[fault]]\nkind = 'flip'\nvalue = 1.5", r"fault\[0\]: the value of flip counts bits"),
-        (ONE + "[[fault]]\nkind = 'flip'\nvalue = [1, 2, 3]", r"fault\[0\].value: a number from 0 up is wanted"),
+        (
+            ONE + "[[fault]]\nkind = 'flip'\nvalue = [1, 2, 3]",
+            r"fault\[0\].value: a number from 0 to 65535 is wanted",
+        ),
         (ONE + "[[fault]]\nkind = 'cut'\nafter = '2s'\nuntil = '1s'", r"fault\[0\]: until is to be later"),
         (ONE + EVENT, r"event\[0\]: it does not say when: at = "),
         (ONE + EVENT + "at = 5", r"event\[0\].at: a duration in quotes is wanted"),
