@@ -158,13 +158,13 @@ def registers(
 @app.command()
 def simulate(
     file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="the simulated line (TOML)")] = None,
-    drive: Annotated[list[str] | None, typer.Option(help="NUMBER:MODEL, once for each drive")] = None,
+    drive: Annotated[list[str] | None, typer.Option(help="NUMBER:MODEL[:PROTOCOL], once for each drive")] = None,
     baud: Annotated[int, typer.Option(help="9600, 19200 or 38400, with --drive")] = 19200,
     parity: Annotated[str, typer.Option(help="even, odd or none, with --drive")] = "even",
     link: Annotated[Path | None, typer.Option(help="a symbolic link to the port, kept while the line runs")] = None,
-    control: Annotated[Path | None, typer.Option(help="a socket for faults and statistics")] = None,
+    control: Annotated[Path | None, typer.Option(help="a socket for all that can be done to the line and asked of it")] = None,
 ) -> None:
-    """Simulate drives on an RS485 line behind a pty, for any MODBUS-RTU master."""
+    """Simulate drives on an RS485 line behind a pty, for any MODBUS-RTU or TOSHIBA master."""
     if (file is None) == (not drive):
         raise BadConfig("simulate: give a FILE or at least one --drive NUMBER:MODEL")
     config = settings.load(file) if file else settings.from_options(drive or [], baud=baud, parity=parity)

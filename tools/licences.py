@@ -71,6 +71,7 @@ Installed from Debian by `make test`, never distributed with the project.
 |---|---|---|
 | mosquitto, mosquitto-clients | EPL-2.0 OR BSD-3-Clause | a real broker and real clients |
 | mbpoll | GPL-3.0-or-later | a real MODBUS master |
+| tshark | GPL-2.0-or-later | a foreign dissector of MODBUS-RTU |
 """
 
 HEAD = """

@@ -76,7 +76,7 @@ class Outlet:
         if not names:
             self._owes_standing = True
             self._settle_standing(wire)
-            self._owes_state = self._state is not None and self.image.version > 0
+            self._owes_state |= self._state is not None and self.image.version > 0
             names = [n for n in self.image.names if self._report.has_turned(n, self.image.quality(n, now))]
         is_news = False
         for name in names:
