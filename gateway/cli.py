@@ -162,7 +162,7 @@ def simulate(
     baud: Annotated[int, typer.Option(help="9600, 19200 or 38400, with --drive")] = 19200,
     parity: Annotated[str, typer.Option(help="even, odd or none, with --drive")] = "even",
     link: Annotated[Path | None, typer.Option(help="a symbolic link to the port, kept while the line runs")] = None,
-    control: Annotated[Path | None, typer.Option(help="a socket for all that can be done to the line and asked of it")] = None,
+    control: Annotated[Path | None, typer.Option(help="a socket for what can be done to the line and asked")] = None,
 ) -> None:
     """Simulate drives on an RS485 line behind a pty, for any MODBUS-RTU or TOSHIBA master."""
     if (file is None) == (not drive):
