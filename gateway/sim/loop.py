@@ -74,6 +74,8 @@ class LineLoop:
         ready = self._wait(event)
         if self.port.descriptor in ready and (data := self.port.read()):
             self.wire.feed(data, time.monotonic(), is_noise=self._is_out_of_tune())
+        if self.port.closings in ready:
+            self.port.restore()
         for descriptor in ready:
             if reader := self._readers.get(descriptor):
                 reader()
@@ -85,9 +87,8 @@ class LineLoop:
 
     def _wait(self, event: float | None) -> list[int]:
         """Wait for bytes until shortly before the event; return which descriptors have some."""
-        watched = [self._wake_out, *self._readers]
-        if self.port.descriptor is not None:
-            watched.append(self.port.descriptor)
+        of_port = (self.port.descriptor, self.port.closings)
+        watched = [self._wake_out, *self._readers, *(one for one in of_port if one is not None)]
         if event is None:
             return select.select(watched, [], [])[0]
         left = event - time.monotonic() - SPIN

@@ -9,10 +9,12 @@ import termios
 import tty
 from pathlib import Path
 
+from gateway.sim.port_watch import ClosingWatch, claim, is_claimed
+
 READ_SIZE = 4096
 RATES = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400)
 RATE_OF_SPEED = {getattr(termios, f"B{rate}"): rate for rate in RATES}
-OUTPUT_SPEED = 5  # its place in what tcgetattr returns
+LOCAL_MODES, OUTPUT_SPEED, CHARACTERS = 3, 5, 6  # places in what tcgetattr returns
 
 
 class PtyPort:
@@ -22,6 +24,7 @@ class PtyPort:
         self._link = link
         self._own: int | None = None
         self._others: int | None = None
+        self._closings: ClosingWatch | None = None
         self.name = ""
         self.plug()
 
@@ -29,6 +32,11 @@ class PtyPort:
     def descriptor(self) -> int | None:
         """Return what to wait on; None while it is unplugged."""
         return self._own
+
+    @property
+    def closings(self) -> int | None:
+        """Return what to wait on for `restore`; None while it is unplugged."""
+        return self._closings.descriptor if self._closings else None
 
     @property
     def baud(self) -> int | None:
@@ -45,6 +53,8 @@ class PtyPort:
         tty.setraw(self._others)
         os.set_blocking(self._own, False)
         self.name = os.ttyname(self._others)
+        claim(self._others)
+        self._closings = ClosingWatch(self.name)
         if self._link is not None:
             try:
                 self._point(self._link)
@@ -53,7 +63,9 @@ class PtyPort:
                 raise
 
     def _point(self, link: Path) -> None:
-        """Set the link in one step: whoever opens it finds the old port or the new one."""
+        """Set the link in one step: whoever opens it finds the old port or the new one. Another line's stays."""
+        if link.is_symlink() and str(link.readlink()) != self.name and is_claimed(link):
+            raise FileExistsError(f"{link} is the link of another simulated line; end it, or choose another link")
         fresh = link.with_name(f".{link.name}.{os.getpid()}")
         with contextlib.suppress(FileNotFoundError):
             fresh.unlink()
@@ -65,12 +77,35 @@ class PtyPort:
 
     def unplug(self) -> None:
         """Pull the adapter out: whoever has the port open gets errors, as with real hardware."""
+        if self._own is not None and self._link is not None:
+            self._remove(self._link)
         for descriptor in (self._own, self._others):
             if descriptor is not None:
                 os.close(descriptor)
         self._own = self._others = None
-        if self._link is not None and self._link.is_symlink() and str(self._link.readlink()) == self.name:
-            self._link.unlink()
+        if self._closings is not None:
+            self._closings.close()
+            self._closings = None
+
+    def _remove(self, link: Path) -> None:
+        """Remove the link where it is still this port's: once that is closed, its name may be another line's."""
+        with contextlib.suppress(FileNotFoundError):
+            if link.is_symlink() and str(link.readlink()) == self.name:
+                link.unlink()
+
+    def restore(self) -> None:
+        """Let a reader wait for bytes again, where the program that closed the port left it otherwise.
+
+        A pty keeps its settings while this side is open. pyserial and libmodbus leave reading without waiting
+        (VMIN = VTIME = 0), which `cat` takes for the end; a terminal program may leave lines. The rate stays.
+        """
+        if self._others is None or self._closings is None or not self._closings.has_closings():
+            return
+        settings = termios.tcgetattr(self._others)
+        characters = settings[CHARACTERS]
+        has_lines = settings[LOCAL_MODES] & termios.ICANON
+        if has_lines or not (characters[termios.VMIN] or characters[termios.VTIME]):
+            tty.setraw(self._others, termios.TCSANOW)
 
     def read(self) -> bytes:
         """Return what the master wrote, b"" for nothing."""

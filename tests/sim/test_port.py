@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import serial
 from pymodbus.client import ModbusSerialClient
 from pymodbus.exceptions import ModbusIOException
 
@@ -381,3 +382,97 @@ class TestProgram:
             SimulatedLine(two_drives(tmp_path / "notes")).start()
         assert (tmp_path / "notes").read_text() == "mine"
         assert [entry.name for entry in tmp_path.iterdir()] == ["notes"]
+
+
+class TestShell:
+    """`printf` and `cat` on the port, after other programs had it."""
+
+    RECIPE = "printf '(02PFA011770)\\r' > {port}; timeout 0.3 cat {port} | tr '\\r' '\\n'"
+
+    def told(self, port: str) -> str:
+        """Play the recipe of the manual."""
+        command = ["sh", "-c", self.RECIPE.format(port=port)]
+        return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True).stdout
+
+    def test_it_works_after_a_program_that_reads_without_waiting(self) -> None:
+        """A pyserial port leaves VMIN = VTIME = 0, the end to `cat`; once it is closed, readers wait."""
+        with SimulatedLine(from_options(["2:vf-mb1:toshiba"])) as line:
+            for _ in range(3):
+                serial.Serial(line.port, 9600, stopbits=serial.STOPBITS_TWO, timeout=1).close()
+                assert self.told(line.port) == "(02PFA011770)\n"
+            descriptor = os.open(line.port, os.O_RDWR | os.O_NOCTTY)
+            assert termios.tcgetattr(descriptor)[4:6] == [termios.B9600, termios.B9600]
+            os.close(descriptor)
+
+    def test_it_works_after_a_program_that_reads_lines(self) -> None:
+        """A frame of TOSHIBA ends with CR, which ends no line: `cat` would wait for ever."""
+        with SimulatedLine(from_options(["2:vf-mb1:toshiba"])) as line:
+            subprocess.run(["stty", "-F", line.port, "icanon"], check=True, timeout=PATIENCE)
+            assert self.told(line.port) == "(02PFA011770)\n"
+
+    def test_a_program_keeps_its_settings_while_it_has_the_port(self) -> None:
+        """Frames change nothing: one that asks again and again without waiting is not made to wait."""
+        with (
+            SimulatedLine(from_options(["2:vf-mb1:toshiba"])) as line,
+            serial.Serial(line.port, 19200, stopbits=serial.STOPBITS_TWO, timeout=PATIENCE) as port,
+        ):
+            port.write(b"(02RFA01)\r")
+            assert port.read_until(b"\r") == b"(02RFA010000)\r"
+            characters = termios.tcgetattr(port.fileno())[6]
+            assert (characters[termios.VMIN], characters[termios.VTIME]) == (0, 0)
+
+    def test_how_long_readers_wait_stays_as_it_was_set(self) -> None:
+        """`stty min 0 time 2`: two tenths of a second, also after stty has closed the port."""
+        port = PtyPort()
+        try:
+            subprocess.run(["stty", "-F", port.name, "min", "0", "time", "2"], check=True, timeout=PATIENCE)
+            port.restore()
+            descriptor = os.open(port.name, os.O_RDWR | os.O_NOCTTY)
+            characters = termios.tcgetattr(descriptor)[6]
+            os.close(descriptor)
+            assert (characters[termios.VMIN], characters[termios.VTIME]) == (0, 2)
+        finally:
+            port.unplug()
+
+
+class TestLink:
+    def test_a_link_of_a_living_line_is_not_taken(self, tmp_path: Path) -> None:
+        """The second line says so, and the first one keeps its link, until it ends."""
+        link = tmp_path / "line"
+        with SimulatedLine(two_drives(link)):
+            port = link.readlink()
+            with pytest.raises(GatewayError, match=f"{link} is the link of another simulated line; end it"):
+                SimulatedLine(two_drives(link)).start()
+            assert link.readlink() == port
+        assert not link.is_symlink()
+
+    @pytest.mark.parametrize("target", ["/dev/pts/99999", "nowhere", "/dev/null"])
+    def test_a_link_that_was_left_behind_is_taken(self, tmp_path: Path, target: str) -> None:
+        """To a port that is gone, or to what is no line's."""
+        link = tmp_path / "line"
+        link.symlink_to(target)
+        port = PtyPort(link)
+        assert str(link.readlink()) == port.name
+        port.unplug()
+        assert not link.is_symlink()
+
+    def test_a_link_that_points_elsewhere_by_now_stays(self, tmp_path: Path) -> None:
+        """Somebody set it to another port: it is not this line's to remove."""
+        link = tmp_path / "line"
+        port = PtyPort(link)
+        link.unlink()
+        link.symlink_to("/dev/ttyUSB0")
+        port.unplug()
+        assert str(link.readlink()) == "/dev/ttyUSB0"
+
+    def test_a_port_that_programs_open_and_lock_stays_the_line_s(self, tmp_path: Path) -> None:
+        """An exclusive master comes and goes; neither is hindered, and the link stays refused."""
+        link = tmp_path / "line"
+        port = PtyPort(link)
+        try:
+            serial.Serial(str(link), 19200, stopbits=serial.STOPBITS_TWO, exclusive=True).close()
+            with pytest.raises(FileExistsError, match="another simulated line"):
+                PtyPort(link)
+            assert str(link.readlink()) == port.name
+        finally:
+            port.unplug()
