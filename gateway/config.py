@@ -186,7 +186,7 @@ class DriveSection(Section):
     )
     unit: int | None = Field(None, ge=1, le=247, description="MODBUS-TCP unit id; the number by default")
     provision: bool = Field(
-        False, description="set F875-F879 (and F870-F871) where they differ from what is best: wears the EEPROM once"
+        False, description="set F875-F879 where they differ from what is best: wears the EEPROM once"
     )
     wait_time: Duration = Field(0.0, ge=0, le=2, description="F805 as set in the drive")
     poll: list[PollSection] = Field([], description="the model's profile where empty")

@@ -67,7 +67,7 @@ class LineStats:
 class DriveStats:
     """One drive. `answers` is the time from the end of a request to the end of its answer.
 
-    `eeprom_writes` counts writes to the EEPROM by communication number, those that got no answer left out.
+    `eeprom_writes` counts requests that write the EEPROM, by communication number, whatever became of them.
     """
 
     exchanges: int = 0

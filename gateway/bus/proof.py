@@ -17,7 +17,8 @@ from gateway.site import Drive
 class Proof:
     """Tries the mappings that may be in force, in order. `singles` are the words of the last one's single reads.
 
-    `proven` is the mapping that agreed; `refuted` the last one that did not.
+    `proven` is the mapping that agreed; `refuted` the last one that did not; `untold` one of which all words were 0,
+    so that nothing can be said of it yet.
     """
 
     drive: Drive
@@ -25,6 +26,7 @@ class Proof:
     candidates: list[BlockMapping] = field(default_factory=list)
     proven: BlockMapping | None = None
     refuted: BlockMapping | None = None
+    untold: BlockMapping | None = None
     singles: dict[str, int] = field(default_factory=dict)
     _blocks: list[tuple[int, ...]] = field(default_factory=list)
     _steps: list[Work] = field(default_factory=list)
@@ -37,7 +39,7 @@ class Proof:
 
     def begin(self) -> None:
         """Begin anew with the candidates there are."""
-        self.proven = self.refuted = None
+        self.proven = self.refuted = self.untold = None
         self._tries = 0
         self._steps = []
 
@@ -85,9 +87,21 @@ class Proof:
             return None
         self._tries = 0
         self.candidates.pop(0)
+        if is_right and not selectors.is_telling(mapping, self._blocks[-1], self.singles):
+            self.untold = mapping
+            return None
         if is_right:
             self.proven, self.refuted = mapping, None
             self.candidates.clear()
         else:
             self.refuted = mapping
         return is_right
+
+    def is_told_by(self, register: Register, word: int) -> bool:
+        """Say whether a value that was read makes it worth trying a mapping again of which all words were 0."""
+        return self.untold is not None and register in self.untold and bool(word & register.mask)
+
+    def again(self) -> None:
+        """Try that mapping again."""
+        self.propose(self.untold, first=True)
+        self.begin()

@@ -15,6 +15,7 @@ from gateway.protocol.pdu import WriteRam, WriteStored
 from gateway.site import Drive
 
 ATTEMPTS = 2  # writes of one selector while the gateway runs: the second only where the first went unanswered
+MARK_ATTEMPTS = 5  # writes of the reset mark, which wear nothing
 RESET_MARK = "reset_detection"  # FA87: set to 1 by the host, 0 after a reset (E6581657 7.1)
 
 
@@ -38,50 +39,59 @@ def wanted(drive: Drive, facts: Mapping[str, int]) -> dict[str, int]:
 
 @dataclass(slots=True)
 class Provision:
-    """The provisioning of one drive: each selector is written at most once, and once more without an answer."""
+    """The provisioning of one drive: each selector is written at most once, and once more without an answer.
+
+    The reset mark (FA87) is set before the first of them, and reads 0 after any reset that comes later.
+    """
 
     drive: Drive
-    is_marked: bool = False
     _attempts: Counter[str] = field(default_factory=Counter)
     _changed: set[str] = field(default_factory=set)
 
-    @property
-    def awaits_reset(self) -> bool:
-        """Say whether selectors were written since the last reset that is known of."""
-        return bool(self._changed)
+    def awaits_reset(self, facts: Mapping[str, int]) -> bool:
+        """Say whether selectors may stand in the drive that are not in force.
+
+        Nobody but the gateway sets the mark, and only to provision: where it stands, no reset has come since.
+        """
+        if not self.drive.provision:
+            return False
+        return facts[RESET_MARK] == 1 if RESET_MARK in facts else bool(self._changed)
 
     def next(self, facts: Mapping[str, int]) -> tuple[Register, WriteRam | WriteStored] | None:
-        """Return the next register to write and its request; None when nothing is left to do.
-
-        The reset mark is set last, so that the reset can be told from a lost cable.
-        """
+        """Return the next register to write and its request; None when nothing is left to do."""
         registers, number = self.drive.model.registers, self.drive.number
-        for name, code in wanted(self.drive, facts).items():
-            if self._attempts[name] < ATTEMPTS:
-                return registers[name], WriteStored(number, registers[name].address, code)
-        mark = registers.get(RESET_MARK)
-        if self.awaits_reset and not self.is_marked and mark is not None:
-            return mark, WriteRam(number, mark.address, 1)
+        due = {name: code for name, code in wanted(self.drive, facts).items() if self._attempts[name] < ATTEMPTS}
+        if due and facts.get(RESET_MARK) == 0 and self._attempts[RESET_MARK] < MARK_ATTEMPTS:
+            return registers[RESET_MARK], WriteRam(number, registers[RESET_MARK].address, 1)
+        for name, code in due.items():
+            return registers[name], WriteStored(number, registers[name].address, code)
         return None
 
     def attempted(self, register: Register) -> None:
         """Take note that a write is under way: from now on it may have happened."""
-        if register.name == RESET_MARK:
-            self.is_marked = True
-            return
         self._attempts[register.name] += 1
-        self._changed.add(register.name)
+        if register.name != RESET_MARK:
+            self._changed.add(register.name)
 
-    def acknowledged(self, register: Register) -> None:
-        """Take note that the drive has written it: it is not written again."""
-        self._attempts[register.name] = ATTEMPTS
+    def marked(self) -> None:
+        """Take note that the reset mark stands."""
+        self._attempts[RESET_MARK] = 0
+
+    def read_back(self, facts: Mapping[str, int]) -> None:
+        """Take what the drive holds: what is there now is not written again, whoever changes it later."""
+        still_wanted = wanted(self.drive, facts)
+        for name in self._changed - still_wanted.keys():
+            self._attempts[name] = ATTEMPTS
+
+    def is_at_its_end(self, facts: Mapping[str, int]) -> bool:
+        """Say whether selectors are wanted that were written, or refused, already."""
+        return bool(wanted(self.drive, facts)) and not self.awaits_reset(facts)
 
     def refused(self, register: Register) -> None:
         """Take note that the drive refuses a write: it is not tried again."""
-        self._attempts[register.name] = ATTEMPTS
+        self._attempts[register.name] = MARK_ATTEMPTS
         self._changed.discard(register.name)
 
-    def reset_seen(self) -> None:
-        """Take note that the drive was reset: what was written is in force."""
-        self.is_marked = False
+    def in_force(self) -> None:
+        """Take note that what was written is in force."""
         self._changed.clear()

@@ -36,7 +36,11 @@ FIRST_WITHIN = 0.5  # seconds after a drive is ready, for values that are read s
 RECHECK_EVERY = 60.0  # seconds between two looks at F875-F879, which somebody may change at the panel
 RECHECK_SOON = 5.0  # the same while a reset is awaited, or while the block carries the display's text
 BLOCK_MODE = "block_mode"  # FA80: 1 makes the block carry the display's text (E6581657 7.3.1)
+SILENT_BLOCKS = 3  # block reads without an answer while other questions have one, before the block is given up
+BUSY_BLOCKS = 3  # refusals of the block in a row because the drive cannot do it now, before it is given up
+BELIEVED_FOR = 1.0  # seconds for which a block that looks like text is believed after FA80 was read as 0
 REFUSALS = 2  # in a row, before a value is given up
+NOT_IN_FORCE = "the block does not carry what F875-F879 say: a changed selector acts only after a reset of the drive"
 DISPLAY_NOTE = "FA80 is 1: the block carries the display's text; it is not used"
 TRIP_REGISTERS = ("trip_code", "status")  # FC90, FD01: what is read at once when a drive trips or no longer does
 
@@ -60,10 +64,13 @@ class DriveReader:
         self._as_set: BlockMapping | None = None
         self._provision = Provision(drive)
         self._before: BlockMapping | None = None  # what was in force before the selectors were provisioned
-        self._may_be_text: tuple[int, ...] = ()  # the last block that looked like the display's text
-        self._is_no_text: tuple[int, ...] = ()  # the last of those that was found not to be
+        self._is_to_be_read_back = False
+        self._silent_blocks = 0
+        self._busy_blocks = 0
+        self._no_text: tuple[int, ...] = ()  # the last block that looked like the display's text and was none
+        self._no_text_until = float("-inf")
         self._refusals: Counter[str] = Counter()
-        self._control = Control(drive, planner)
+        self._control = Control(drive)
 
     # ---- who is there
 
@@ -95,10 +102,10 @@ class DriveReader:
                 return Learnt(work.read.values(words))
             case Task.BLOCK_MODE, Words(words):
                 return self._block_mode(words[0], now)
+            case Task.DISPLAY, Words(words):
+                return self._display_seen(words[0], now)
             case Task.PROVISION, Written() if work.register is not None:
                 return self._provisioned(work.register, now)
-            case Task.SETPOINT, Written() if work.register is not None:
-                return self._control.written(work.register)
             case Task.VERIFY, Words(words) if work.read is not None:
                 return self._control.verified(work.read, words[0])
         return Learnt()
@@ -116,6 +123,7 @@ class DriveReader:
 
     def _stranger(self, reason: str) -> Learnt:
         self.is_set_up = False
+        self._control.end("another drive answers")
         self._pending = None
         return Learnt(stranger=reason)
 
@@ -126,6 +134,11 @@ class DriveReader:
         """
         if self.is_set_up:
             return Learnt(is_ready=True)
+        if self._pending is not None and self._pending.task is Task.PROVE_BLOCK:
+            self._silent_blocks += 1
+            if self._silent_blocks >= SILENT_BLOCKS:  # the TOSHIBA protocol has no other way to say that X is unknown
+                self._proof.candidates.clear()
+                return self._start_polls(now, ["the block is not answered; other reads instead"])
         if self._pending is not None and self._pending.task is not Task.PROVISION:
             return Learnt(jobs=[self._at_once(self._pending, now)])
         return self._set_up(now)
@@ -135,6 +148,8 @@ class DriveReader:
         if self.able.mapping is not None:
             self._proof.candidates = [self.able.mapping]
         self.is_set_up = False
+        self._control.end("the drive was lost")
+        self._silent_blocks = 0
         self._pending = None
         self._who = Identification(self.drive)
         self.able = Abilities()
@@ -147,6 +162,7 @@ class DriveReader:
     def _set_up(self, now: float) -> Learnt:
         """Read, one after another, what must be known before polling: identity codes, selectors, bases."""
         self.is_set_up = False
+        self._control.end("the drive is set up anew")
         model = self.drive.model
         names = (*IDENTITY_REGISTERS, *((BLOCK_MODE, RESET_MARK) if self._planner.has_block else ()))
         wanted = [model.registers[name] for name in names if name in model.registers]
@@ -184,13 +200,25 @@ class DriveReader:
         return self._next_fact(now)
 
     def _next_provision(self, now: float, notes: Sequence[str] = ()) -> Learnt:
-        """Write the next selector that is not as wanted, if that is permitted; then go on with the proof."""
-        mapping = self._mapping_as_set()
-        step = self._provision.next(self.facts) if self.drive.provision and self._planner.has_block else None
-        if step is None:
+        """Write the next selector that is not as wanted, if that is permitted; read all back; then the proof."""
+        if not self.drive.provision or not self._would_use_block():
             return self._start_proof(now, notes)
+        mapping = self._mapping_as_set()
+        if not self._is_to_be_read_back:
+            self._provision.read_back(self.facts)
+        step = self._provision.next(self.facts)
+        if step is None and self._is_to_be_read_back:
+            self._is_to_be_read_back = False
+            learnt = self._set_up(now)
+            learnt.notes += notes
+            return learnt
+        if step is None:
+            learnt = self._start_proof(now, notes)
+            if self._provision.is_at_its_end(self.facts):
+                learnt.warnings.append("F875-F879 are not as wanted, and are set once only: set them by hand")
+            return learnt
         register, request = step
-        if not self._provision.awaits_reset:
+        if register.name == RESET_MARK or not self._provision.awaits_reset(self.facts):
             self._before = mapping
         self._provision.attempted(register)
         work = Work(Task.PROVISION, request, register=register)
@@ -199,20 +227,25 @@ class DriveReader:
             said = [f"{register.title or register.name}: {request.word} is written (was {self.facts[register.name]})"]
         return Learnt(jobs=[self._at_once(work, now)], notes=[*notes, *said])
 
+    def _would_use_block(self) -> bool:
+        """Say whether the block would be used with the best selectors: else they are not worth a write."""
+        mapping = selectors.mapping_of(self.drive.model, selectors.best(self.drive))
+        able = replace(self.able, mapping=mapping)
+        reads = (read for group in self.drive.groups for read in self._planner.plan(group.registers, able))
+        return self._planner.has_block and any(isinstance(read.request, ReadBlock) for read in reads)
+
     def _provisioned(self, register: Register, now: float) -> Learnt:
         if register.name == RESET_MARK:
+            self._provision.marked()
             self.facts[RESET_MARK] = 1
             return self._next_provision(now)
-        self._provision.acknowledged(register)
+        self._is_to_be_read_back = True
         place = [r.name for r in selector_registers(self.drive)].index(register.name)
         self.facts[register.name] = selectors.best(self.drive)[place]
-        learnt = self._next_provision(now)
-        learnt.stored.append(register.address)
-        return learnt
+        return self._next_provision(now)
 
     def _not_provisioned(self, register: Register, refused: Refused, now: float) -> Learnt:
-        if register.name != RESET_MARK:
-            self._provision.refused(register)
+        self._provision.refused(register)
         learnt = self._next_provision(now)
         learnt.warnings.append(f"{register.title or register.name} cannot be set: {refused}")
         return learnt
@@ -225,10 +258,7 @@ class DriveReader:
         self._as_set = as_set = self._mapping_as_set()
         self._control.block = selected(self.drive.model, self.facts)
         self._proof.begin()
-        if self._provision.is_marked and self.facts.get(RESET_MARK) == 0:
-            self._provision.reset_seen()
-            self._proof.candidates.clear()
-        if self._provision.is_marked:  # what was set is known not to be in force
+        if self._provision.awaits_reset(self.facts):  # what is set is known not to be in force
             self._proof.candidates.clear()
             self._proof.propose(self._before)
         else:
@@ -238,7 +268,7 @@ class DriveReader:
             learnt = self._start_polls(now, [*notes, DISPLAY_NOTE])
         else:
             learnt = self._next_proof(now, notes)
-        if self._provision.awaits_reset:
+        if self.is_reset_needed:
             learnt.warnings.append("reset needed: F875-F879 were set and act after a reset (switch it off and on)")
         return learnt
 
@@ -246,8 +276,10 @@ class DriveReader:
     def is_reset_needed(self) -> bool:
         """Say whether selectors are set that act only after a reset of the drive."""
         as_set, mapping = self._as_set, self.able.mapping
-        if as_set is None or self._provision.awaits_reset:
-            return self._provision.awaits_reset and as_set != self._before
+        if as_set is None:
+            return False
+        if self._provision.awaits_reset(self.facts):
+            return as_set != self._before
         return as_set == self._proof.refuted or (mapping is not None and mapping != as_set)
 
     def _next_proof(self, now: float, notes: Sequence[str] = ()) -> Learnt:
@@ -262,16 +294,29 @@ class DriveReader:
 
     def _proven(self, work: Work, words: Sequence[int], now: float) -> Learnt:
         is_right = self._proof.take(work, words)
+        self._silent_blocks = 0
         if is_right:
             self.able = replace(self.able, mapping=self._proof.proven)
             if self.able.mapping == self._as_set:
-                self._provision.reset_seen()
+                self._provision.in_force()
+        if is_right is False and BLOCK_MODE in self.drive.model.registers:
+            address = self.drive.model.registers[BLOCK_MODE].address
+            return Learnt(jobs=[self._at_once(Work(Task.DISPLAY, ReadWords(self.drive.number, address)), now)])
         learnt = self._next_proof(now)
         if is_right is False:
-            learnt.warnings.append(
-                "the block does not carry what F875-F879 say: a changed selector acts only after a reset of the drive"
-            )
+            learnt.warnings.append(NOT_IN_FORCE)
         return learnt
+
+    def _display_seen(self, word: int, now: float) -> Learnt:
+        """Judge a block that did not agree: it may have carried the display's text (FA80 = 1)."""
+        if word != 1:
+            learnt = self._next_proof(now)
+            learnt.warnings.append(NOT_IN_FORCE)
+            return learnt
+        self.facts[BLOCK_MODE] = 1
+        self._proof.begin()
+        self._proof.candidates.clear()
+        return self._start_polls(now, [DISPLAY_NOTE])
 
     # ---- its polls
 
@@ -321,12 +366,13 @@ class DriveReader:
 
     def _rechecks(self, now: float) -> list[Job[Work]]:
         """Return the looks at what somebody else may change: the selectors, FA80, and FA87 while it matters."""
-        names = [BLOCK_MODE, RESET_MARK] if self._provision.is_marked else [BLOCK_MODE]
+        is_awaited = self._provision.awaits_reset(self.facts)
+        names = [BLOCK_MODE, RESET_MARK] if is_awaited else [BLOCK_MODE]
         registers = [self.drive.model.registers[name] for name in names if name in self.facts]
         registers += self._selector_registers()
         if not self._planner.has_block or not registers:
             return []
-        is_soon = self._provision.is_marked or self.facts.get(BLOCK_MODE) == 1
+        is_soon = is_awaited or self.facts.get(BLOCK_MODE) == 1
         every = RECHECK_SOON if is_soon else RECHECK_EVERY
         reads = self._planner.plan(registers, replace(self.able, mapping=None))
         jobs = []
@@ -348,43 +394,64 @@ class DriveReader:
         return self._audit_job(now) if work.task is Task.AUDIT and self._audit is not None else None
 
     def _polled(self, read: PlannedRead, words: Sequence[int], now: float) -> Learnt:
-        is_block = isinstance(read.request, ReadBlock)
-        if is_block and self._may_be_display(words):
-            register = self.drive.model.registers[BLOCK_MODE]
-            self._may_be_text = tuple(words)
-            return Learnt(once=[Work(Task.BLOCK_MODE, ReadWords(self.drive.number, register.address))])
-        if is_block and self._audit is not None and not self._audit.block(words):
+        if isinstance(read.request, ReadBlock):
+            self._busy_blocks = 0
+            if self._may_be_text(read, words, now):
+                self._no_text = tuple(words)  # believed from the answer on that FA80 is 0
+                register = self.drive.model.registers[BLOCK_MODE]
+                return Learnt(once=[Work(Task.BLOCK_MODE, ReadWords(self.drive.number, register.address))])
+            return self._block_polled(read, words, now)
+        if self._refusals:
+            self._refusals -= Counter(register.name for register in read.registers)
+        values = read.values(words)
+        once = [Work(Task.POLL, r.request, r) for r in map(self._alone, read.doubtful(words))]
+        if any(self._proof.is_told_by(register, word) for register, word in zip(read.registers, words, strict=False)):
+            self._proof.again()
+            learnt = self._next_proof(now)
+            return Learnt(values, jobs=learnt.jobs, once=once)
+        return Learnt(values, once=once)
+
+    def _block_polled(self, read: PlannedRead, words: Sequence[int], now: float) -> Learnt:
+        """Take the block: what is not believed yet is read alone."""
+        audit = self._audit
+        again = self._control.polled().once
+        if audit is None:
+            return Learnt(read.values(words), once=again)
+        stirred = audit.stirred(words)
+        if not audit.block(words):
             self._audit = None
             learnt = self._set_up(now)
             learnt.warnings.append("the block no longer carries what it did: the drive was reset or set anew")
             return learnt
-        if self._refusals:
-            self._refusals -= Counter(register.name for register in read.registers)
-        untrusted = self._untrusted(read, words)
-        values = [pair for pair in read.values(words) if pair[0] not in {r.address for r in untrusted}]
-        once = [Work(Task.CONFIRM, r.request, r) for r in map(self._alone, untrusted)]
-        once += [Work(Task.POLL, r.request, r) for r in map(self._alone, read.doubtful(words))]
-        return Learnt(values, once=once)
+        untrusted = audit.untrusted(words)
+        withheld = {register.address for register in untrusted}
+        checked = {register.name: register for register in (*untrusted, *stirred)}
+        once = [Work(Task.CONFIRM, r.request, r) for r in map(self._alone, checked.values())]
+        return Learnt([pair for pair in read.values(words) if pair[0] not in withheld], once=once + again)
 
-    def _may_be_display(self, words: Sequence[int]) -> bool:
-        is_suspect = BLOCK_MODE in self.drive.model.registers and selectors.may_be_display(words)
-        return is_suspect and tuple(words) != self._is_no_text
+    def _may_be_text(self, read: PlannedRead, words: Sequence[int], now: float) -> bool:
+        """Say whether a block may be the display's text, and FA80 has to be looked at before it is believed."""
+        if BLOCK_MODE not in self.drive.model.registers or not selectors.may_be_display(words):
+            self._no_text = ()
+            return False
+        is_like = len(self._no_text) == len(words) and all(
+            register is None or selectors.agree(register, word, before, before)
+            for register, word, before in zip(read.carries, words, self._no_text, strict=True)
+        )
+        return not (is_like and now < self._no_text_until)
 
     def _block_mode(self, word: int, now: float) -> Learnt:
         """Take FA80: 1 takes the block away until it is 0 again."""
         if word != 1:
-            self._is_no_text = self._may_be_text
+            self._no_text_until = now + BELIEVED_FOR
             return Learnt()
         if self.able.mapping is None:
             return Learnt()
         self._proof.candidates = [self.able.mapping]
         self.able = replace(self.able, mapping=None)
         self.facts[BLOCK_MODE] = 1
-        return Learnt(jobs=self.polls(now), notes=[DISPLAY_NOTE])
-
-    def _untrusted(self, read: PlannedRead, words: Sequence[int]) -> list[Register]:
-        is_block = isinstance(read.request, ReadBlock) and self._audit is not None
-        return self._audit.untrusted(words) if is_block and self._audit is not None else []
+        ended = self._control.end("FA80 is 1: the block carries the display's text")
+        return Learnt(jobs=self.polls(now), notes=[DISPLAY_NOTE], warnings=ended.warnings)
 
     def _rechecked(self, read: PlannedRead, words: Sequence[int], now: float) -> Learnt:
         found = {r.name: word for r, word in zip(read.carries, words, strict=True) if r is not None}
@@ -402,9 +469,17 @@ class DriveReader:
     # ---- its setpoint
 
     def control(self, setpoint: Setpoint | None) -> Learnt:
-        """Take the words that the drive is to have from now on; None: it is read only."""
+        """Take the words that every read of the block is to write from now on; None ends it.
+
+        A drive that is not set up, or whose polls have no block, takes none: `is_carrying` says so.
+        """
         has_block = any(isinstance(read.request, ReadBlock) for _, reads in self.plan() for read in reads)
-        return self._control.take(setpoint, has_block=has_block)
+        return self._control.take(setpoint, has_block=has_block and self.is_set_up)
+
+    @property
+    def is_carrying(self) -> bool:
+        """Say whether block reads carry a setpoint, or are about to."""
+        return self._control.setpoint is not None
 
     def request(self, work: Work) -> Request:
         """Return the frame of a piece of work as it is to be sent now: a block read takes the setpoint along."""
@@ -413,8 +488,8 @@ class DriveReader:
 
     def _exchanged(self, read: PlannedRead, words: Sequence[int], failed: Sequence[int], now: float) -> Learnt:
         """Take what an exchange read, and what became of its writes."""
-        learnt = self._polled(read, words, now)
         written = self._control.exchanged(failed)
+        learnt = self._polled(read, words, now)
         learnt.once += written.once
         learnt.warnings += written.warnings
         return learnt
@@ -437,25 +512,34 @@ class DriveReader:
                 return Learnt(is_ready=True) if self.is_set_up else self._set_up(now)
             case Work(Task.PROVISION, register=Register() as register):
                 return self._not_provisioned(register, refused, now)
-            case Work(Task.SETPOINT, register=Register() as register):
-                return Learnt(warnings=[f"{register.name} is refused: {refused}"])
-            case Work(Task.TRIP | Task.BLOCK_MODE | Task.VERIFY):
+            case Work(Task.VERIFY):
+                return self._control.end(f"it cannot be read back: {refused}")
+            case Work(Task.DISPLAY):
+                return self._display_seen(0, now)
+            case Work(Task.TRIP | Task.BLOCK_MODE):
                 return Learnt()
             case Work(Task.POLL, request=ReadBlock()) if isinstance(self.request(work), Exchange):
-                return self._control.without_exchange(f"exchange: {refused}")
+                return self._control.end(f"exchange: {refused}")
             case Work(Task.PROVE_BLOCK | Task.PROVE_SINGLE):
                 self._proof.drop()
                 return self._next_proof(now)
             case Work(Task.FACT, read=PlannedRead() as read):
                 return self._fact_refused(read, refused, now)
             case Work(request=ReadBlock()):
-                self.able = replace(self.able, mapping=None)
-                return Learnt(jobs=self.polls(now), notes=[f"indirect block: {refused}"])
+                return self._block_refused(refused, now)
             case Work(request=ReadWords(count=count)) if count > 1:
                 return Learnt(notes=[self._no_direct(work.request, refused)], jobs=self.polls(now))
             case Work(Task.POLL, read=PlannedRead() as read) if refused.reason is not Refusal.UNABLE:
                 return self._poll_refused(read.registers[0].name, refused, now)
         return Learnt()
+
+    def _block_refused(self, refused: Refused, now: float) -> Learnt:
+        """Give the block up; a drive that is only busy is asked again."""
+        self._busy_blocks += 1
+        if refused.reason is Refusal.UNABLE and self._busy_blocks < BUSY_BLOCKS:
+            return Learnt()
+        self.able = replace(self.able, mapping=None)
+        return Learnt(jobs=self.polls(now), notes=[f"indirect block: {refused}"])
 
     def _poll_refused(self, name: str, refused: Refused, now: float) -> Learnt:
         """Give a value up once it was refused twice in a row: the first may be a request damaged on its way."""

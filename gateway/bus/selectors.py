@@ -15,13 +15,14 @@ from gateway.drives.model import Model
 from gateway.drives.register import Register
 from gateway.site import Drive
 
-DISPLAY_DIGITS = 4  # words of the block that carry the display's characters while FA80 = 1 (E6581657 7.3.1)
-DISPLAY_CODES = range(0x20, 0x100)  # a character, with or without its dot
+DISPLAY_CODES = range(0x100)  # a character of the display, with or without its dot; its units (E6581657 7.3.1)
 TOLERANCE = 50  # counts; a monitored value moves between two reads
 TOLERANCE_SHARE = 0.08  # of the value
 DISAGREEMENTS = 2  # of one register in a row, before a mapping is given up
 PROOFS = 3  # tries to prove a mapping, before it is held to be wrong
+SUSPECT_EVERY = 0.1  # seconds between two checks after a disagreement
 UNPROVEN_EVERY = 2.0  # seconds between two checks while some word has only agreed at 0
+STIR_AT_MOST = 2  # blocks in a row of which each may bring the words in doubt to be checked at once
 PROVEN_EVERY = 30.0  # seconds between two checks afterwards
 
 
@@ -46,9 +47,8 @@ def best(drive: Drive) -> tuple[int, ...]:
 
 
 def may_be_display(words: Sequence[int]) -> bool:
-    """Say whether a block looks like the display's text, which it carries while FA80 = 1."""
-    digits = words[:DISPLAY_DIGITS]
-    return len(digits) >= 2 and all(word in DISPLAY_CODES for word in digits)
+    """Say whether a block may be the display's text, which it carries while FA80 = 1."""
+    return all(word in DISPLAY_CODES for word in words)
 
 
 def agree(register: Register, single: int, before: int, after: int) -> bool:
@@ -74,9 +74,15 @@ def fits(
     )
 
 
+def is_telling(mapping: BlockMapping, block: Sequence[int], singles: Mapping[str, int]) -> bool:
+    """Say whether some word agrees on something but 0: where all is 0, a block that carries nothing agrees too."""
+    words = zip(mapping, block, strict=False)
+    return any(r is not None and word & r.mask and singles.get(r.name, 0) & r.mask for r, word in words)
+
+
 @dataclass(slots=True)
 class Audit:
-    """Checks a mapping in use, one word at a time: block, single read, block.
+    """Checks a mapping in use, word by word: block, single read, block.
 
     `proven` are registers that have agreed on something but 0. `unsettled` are those for which the selectors
     say something else than what is in force: a reset, which nobody may notice, changes them.
@@ -86,15 +92,18 @@ class Audit:
     proven: set[str] = field(default_factory=set)
     unsettled: frozenset[str] = frozenset()
     _turn: int = 0
-    _pending: tuple[int, Register, int, int] | None = None
+    _pending: dict[int, tuple[Register, int, int]] = field(default_factory=dict)
     _last: tuple[int, ...] = ()
     _suspect: Register | None = None
     _disagreements: int = 0
+    _stirs: int = 0
 
     @property
     def every(self) -> float:
         """Return the seconds between two checks: few while some word is in doubt."""
-        return UNPROVEN_EVERY if self._suspect is not None or self._doubted() else PROVEN_EVERY
+        if self._suspect is not None:
+            return SUSPECT_EVERY
+        return UNPROVEN_EVERY if self._doubted() else PROVEN_EVERY
 
     def _doubted(self) -> list[Register]:
         registers = (register for _, register in self.watched)
@@ -110,32 +119,53 @@ class Audit:
         return self.watched[place % len(self.watched)][1]
 
     def untrusted(self, words: Sequence[int]) -> list[Register]:
-        """Return the registers whose word left 0 for the first time: to be confirmed before they are believed."""
+        """Return the registers whose word is not believed yet: it left 0 for the first time, or one disagreed."""
         return [
             register
             for index, register in self.watched
-            if register.name not in self.proven and index < len(words) and words[index] & register.mask
+            if register.name not in self.proven
+            and index < len(words)
+            and (self._suspect is not None or words[index] & register.mask)
         ]
+
+    def stirred(self, words: Sequence[int]) -> list[Register]:
+        """Return the registers to be checked at once, when words begin to change: they may be those of others now.
+
+        These are the first that changed, all that have only agreed at 0, and one that disagreed before.
+        """
+        last = self._last
+        changed = [
+            register
+            for index, register in self.watched
+            if index < min(len(words), len(last)) and not agree(register, words[index], last[index], last[index])
+        ]
+        self._stirs = self._stirs + 1 if changed else 0
+        due = [self._suspect] if self._suspect is not None else []
+        if 0 < self._stirs <= STIR_AT_MOST:
+            due += [*changed[:1], *(r for _, r in self.watched if r.name not in self.proven)]
+        return due
 
     def single(self, register: Register, word: int) -> None:
         """Take a single read; it is judged when the next block comes."""
         self._turn += 1
         for index, watched in self.watched:
             if watched is register and index < len(self._last):
-                self._pending = (index, register, word, self._last[index])
+                self._pending[index] = (register, word, self._last[index])
 
     def block(self, words: Sequence[int]) -> bool:
         """Take the words of a block; return False when the mapping can no longer be believed."""
         self._last = tuple(words)
-        if self._pending is not None and self._pending[0] < len(words):
-            index, register, single, before = self._pending
-            self._pending = None
-            if not agree(register, single, before, words[index]):
-                self._disagreements = self._disagreements + 1 if register is self._suspect else 1
-                self._suspect = register
-                return self._disagreements < DISAGREEMENTS
-            if register is self._suspect:
-                self._suspect = None
-            if single & register.mask:
-                self.proven.add(register.name)
+        pending, self._pending = self._pending, {}
+        verdicts = [self._judge(*rest, words[index]) for index, rest in pending.items() if index < len(words)]
+        return all(verdicts)
+
+    def _judge(self, register: Register, single: int, before: int, after: int) -> bool:
+        if not agree(register, single, before, after):
+            self._disagreements = self._disagreements + 1 if self._suspect is not None else 1
+            self._suspect = self._suspect or register
+            return self._disagreements < DISAGREEMENTS
+        if register is self._suspect:
+            self._suspect = None
+        if single & register.mask:
+            self.proven.add(register.name)
         return True

@@ -25,7 +25,7 @@ class Task(Enum):
     BLOCK_MODE = "block mode"
     PROVISION = "provision"
     TRIP = "trip"
-    SETPOINT = "setpoint"
+    DISPLAY = "display"
     VERIFY = "verify"
 
 
@@ -44,15 +44,11 @@ class Work:
 
 @dataclass(slots=True)
 class Learnt:
-    """What an answer brought. `jobs` replaces all that is done for the drive; `once` is to be done at once.
-
-    `stored` are the communication numbers whose place in the EEPROM was written.
-    """
+    """What an answer brought. `jobs` replaces all that is done for the drive; `once` is to be done at once."""
 
     words: list[tuple[int, int]] = field(default_factory=list)
     jobs: list[Job[Work]] | None = None
     once: list[Work] = field(default_factory=list)
-    stored: list[int] = field(default_factory=list)
     stranger: str = ""
     is_ready: bool = False
     notes: list[str] = field(default_factory=list)

@@ -13,7 +13,7 @@ from gateway.bus.link import Heard, Link
 from gateway.bus.reader import DriveReader
 from gateway.bus.schedule import AHEAD, Job, NotBefore, Schedule, Send
 from gateway.bus.setpoint import Setpoint
-from gateway.bus.work import Learnt, Work
+from gateway.bus.work import Learnt, Task, Work
 from gateway.clock import Clock
 from gateway.errors import BadReply, LineDown, NoReply, Refusal, Refused
 from gateway.image import DriveImage, LinkState
@@ -44,6 +44,7 @@ class _Station:
         self.planner = planner
         self.reader = DriveReader(drive, planner, phase)
         self.link = Link()
+        self.trip_signs: dict[str, bool] = {}  # MODBUS-RTU: by FC90, and by the bit in FD01
         self.quiet_until = float("-inf")  # nothing but identifications before: a late answer might be believed
         self.processing = drive.model.times.processing + drive.wait_time
 
@@ -104,6 +105,7 @@ class LineWorker:
         self._stats.errors["line_down"] += 1
         for station in self._stations.values():
             station.reader.forget()
+            station.trip_signs.clear()
             station.image.set_link(station.link.hear(Heard.LINE_LOST), reason)
 
     async def _serve(self) -> None:
@@ -140,8 +142,10 @@ class LineWorker:
         station = self._stations[job.drive]
         started = self._clock.now()
         station.stats.exchanges += 1
+        request = station.reader.request(job.work)
+        if isinstance(request, WriteStored):
+            station.stats.eeprom_writes[request.address] += 1
         try:
-            request = station.reader.request(job.work)
             answered = await exchanger.exchange(station.drive.codec, request, station.processing_of(request))
         except (NoReply, BadReply) as error:
             self._unanswered(station, job, error, started)
@@ -161,17 +165,21 @@ class LineWorker:
         self._stats.errors["refused"] += 1
         self._heard(station, now)
         self._learn(station, job, station.reader.on_refused(job.work, refused, now))
-        self._trip(station, refused.is_tripped, now)
+        if station.link.state.is_connected:
+            self._trip(station, refused.is_tripped, now)
 
     def _answered(self, station: _Station, job: Job[Work], answered: Answered) -> None:
         station.stats.answers.observe(answered.done - answered.sent)
         self._heard(station, answered.done)
         if answered.reply is not None:
             learnt = station.reader.on_reply(job.work, answered.reply, answered.done)
-            flag = answered.reply.is_tripped
-            is_tripped = station.drive.model.is_tripped(learnt.words) if flag is None else flag
             self._learn(station, job, learnt, answered.done)
-            self._trip(station, is_tripped, answered.done)
+            if not learnt.stranger:
+                flag = answered.reply.is_tripped
+                station.trip_signs.update(station.drive.model.trip_signs(learnt.words))
+                signs = station.trip_signs.values()
+                told = any(signs) if signs and flag is None else flag
+                self._trip(station, told, answered.done)
 
     def _trip(self, station: _Station, is_tripped: bool | None, now: float) -> None:
         """Take what an answer said of a trip; at each change the trip code and the status are read at once."""
@@ -186,9 +194,18 @@ class LineWorker:
             self._add(station.drive.name, station.reader.on_trip(), now)
 
     def control(self, drive: str, setpoint: Setpoint | None) -> None:
-        """Give a drive words to keep, or end that; they go with its block reads where the drive has the exchange."""
-        self._add(drive, self._stations[drive].reader.control(setpoint), self._clock.now())
+        """Have every block read of a drive write these words, or end that; see `is_carrying`."""
+        station = self._stations[drive]
+        learnt = station.reader.control(setpoint)
+        for warning in learnt.warnings:
+            log.warning("%s: %s", drive, warning)
+        if station.link.state.is_connected:
+            self._add(drive, learnt, self._clock.now())
         self._alarm.ring()
+
+    def is_carrying(self, drive: str) -> bool:
+        """Say whether a drive's block reads carry a setpoint, or are about to."""
+        return self._stations[drive].reader.is_carrying
 
     def _heard(self, station: _Station, now: float) -> None:
         if station.stats.last_heard > 0:
@@ -219,11 +236,10 @@ class LineWorker:
             self._hear(station, Heard.READY)
         if learnt.words:
             station.image.apply(learnt.words, now, self._clock.wall())
-        for address in learnt.stored:
-            station.stats.eeprom_writes[address] += 1
         station.image.set_reset_needed(reader.is_reset_needed)
         if learnt.jobs is not None:
-            self._schedule.set_jobs(name, learnt.jobs)
+            kept = [kept for kept in self._schedule.jobs(name) if kept.work.task is Task.VERIFY and kept is not job]
+            self._schedule.set_jobs(name, [*learnt.jobs, *kept])
             self._schedule.turn = self._turn()
         else:
             self._follow_up(station, job, now)
@@ -288,6 +304,7 @@ class LineWorker:
             self._ask_again(station, job, started)
         elif is_lost:
             station.reader.forget()
+            station.trip_signs.clear()
             self._ask_again(station, job, started)
         else:
             station.quiet_until = now + max(LATE_AT_MOST, 2 * self._line.margin)

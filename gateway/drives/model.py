@@ -104,18 +104,16 @@ class Model:
         """Return the connector of that name, the first one by default, or None."""
         return next((c for c in self.connectors if name in ("", c.name)), None)
 
-    def is_tripped(self, words: Iterable[tuple[int, int]]) -> bool | None:
-        """Say whether (communication number, word) pairs tell of a trip; None where they do not say.
-
-        FC90 tells it by its code, else FD01 by its bit.
-        """
-        told: bool | None = None
+    def trip_signs(self, words: Iterable[tuple[int, int]]) -> dict[str, bool]:
+        """Return what (communication number, word) pairs tell of a trip: by FC90's code, and by FD01's bit."""
+        signs = {}
         for address, word in words:
             register = self.by_address.get(address)
             if register is None or register.name not in ("trip_code", "status"):
                 continue
-            if register.name == "trip_code":
-                return word != 0
             bit = next((bit for bit, name in register.bits.items() if name == "tripped"), None)
-            told = told if bit is None else bool(word >> bit & 1)
-        return told
+            if register.name == "trip_code":
+                signs[register.name] = word != 0
+            elif bit is not None:
+                signs[register.name] = bool(word >> bit & 1)
+        return signs

@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from gateway.bus.setpoint import Setpoint
 from gateway.image import LinkState
 from gateway.sim.condition import TripCode
 from gateway.sim.faults import Fault, Kind
@@ -172,22 +171,6 @@ def test_selectors_are_provisioned_by_w_once(protocol: str) -> None:
         assert memory.eeprom_writes == dict.fromkeys(range(0x0875, 0x087A), 1)
 
     run(lambda: one(protocol, drive={"provision": True}, block_read=[]), play)
-
-
-@pytest.mark.parametrize("protocol", PROTOCOLS)
-@pytest.mark.parametrize("is_selected", [True, False])
-def test_a_setpoint_moves_the_motor_in_every_protocol(protocol: str, is_selected: bool) -> None:
-    """With the block by 17H or X, else by writes of its own; never into the EEPROM."""
-
-    async def play(stage: Bench) -> None:
-        await asyncio.sleep(3.0)
-        assert stage.worker is not None
-        stage.worker.control("d1", Setpoint({"frequency_command": 2500, "command": 0xC400}))
-        await asyncio.sleep(20.0)
-        assert stage.value("d1", "output_frequency") == "25.00"
-        assert not stage.drive.inverter.memory.eeprom_writes
-
-    run(lambda: one(protocol, running_at=0.0, block_write=[1, 3] if is_selected else []), play)
 
 
 @pytest.mark.parametrize("protocol", TOSHIBA)
