@@ -16,11 +16,14 @@ from gateway.bus.writes import PlannedWrite, Verdict, judge
 from gateway.clock import Clock
 from gateway.drives.notation import label
 from gateway.drives.register import Register
-from gateway.errors import BadConfig, BadReply, NoReply, Refusal, Refused
+from gateway.errors import BadConfig, BadReply, LineDown, NoReply, Refusal, Refused
 from gateway.metrics import LineStats
 from gateway.protocol.codec import Codec
 from gateway.protocol.pdu import Identify, Identity, ReadWords, Reply, Request, Words
 from gateway.site import Drive
+
+UNTRIPPED = "not tripped: a reset would stop it and clear its RAM"
+NOT_SAID = "the drive does not say whether it is tripped"
 
 READ_TRIES = 3  # a read may be repeated; a write without an answer may have been done, and never is
 
@@ -145,15 +148,18 @@ class Session:
         """Write one word and read it back.
 
         A write to the EEPROM of what the register reads already is not made, unless `again`.
-        NoReply: the drive was silent before anything was written.
+        NoReply: the drive was silent, LineDown: the port was gone, both before anything was written.
         """
         if not write.is_answered:
             return await self._reset(drive, write)
         old = await self._before(drive, write)
         if old is not None and write.wears_eeprom and write.reads_back(old) and not again:
             return Outcome(drive, write, Verdict.EQUAL, old, old)
-        note, is_refused = await self._write_once(drive, write)
-        new = await self.read_if_possible(drive, write.register)
+        try:
+            note, is_refused = await self._write_once(drive, write)
+            new = await self.read_if_possible(drive, write.register)
+        except LineDown as error:
+            return Outcome(drive, write, Verdict.UNKNOWN, old, None, may_be_done(error))
         return Outcome(drive, write, judge(write, new, is_refused=is_refused), old, new, note)
 
     async def _before(self, drive: Drive, write: PlannedWrite) -> int | None:
@@ -176,22 +182,43 @@ class Session:
         return "", False
 
     async def _reset(self, drive: Drive, write: PlannedWrite) -> Outcome:
-        """Reset a fault: the drive obeys without an answer, is deaf for a second, and its status tells (7.1)."""
-        note, is_refused = await self._write_once(drive, write)  # an answer says that the drive did not obey
-        if is_refused:
-            return Outcome(drive, write, Verdict.REFUSED, None, None, note)
-        await self.pause(drive.model.times.start_up)
-        return await self.after_reset(drive, write)
+        """Reset a tripped drive: it obeys without an answer, is deaf for a second, and its status tells (7.1).
 
-    async def after_reset(self, drive: Drive, write: PlannedWrite) -> Outcome:
-        """Judge a fault reset by the status of the drive: it is not tripped any more."""
+        A drive that is not tripped is not reset: its output would be cut, and its RAM lost.
+        """
+        before = await self._states(drive)
+        if before is None or "tripped" not in before:
+            return Outcome(drive, write, Verdict.NOT_WRITTEN, None, None, NOT_SAID if before is None else UNTRIPPED)
+        try:
+            note, is_refused = await self._write_once(drive, write)  # an answer says that the drive did not obey
+            if is_refused:
+                return Outcome(drive, write, Verdict.REFUSED, None, None, note)
+            await self.pause(drive.model.times.start_up)
+            return await self._after_reset(drive, write)
+        except LineDown as error:
+            return Outcome(drive, write, Verdict.UNKNOWN, None, None, may_be_done(error))
+
+    async def _states(self, drive: Drive) -> list[str] | None:
+        """Read the states of a drive by name; None where it does not tell."""
         register = drive.model.registers.get("status")
-        status = None if register is None else await self.read_if_possible(drive, register)
-        if register is None or status is None:
-            return Outcome(drive, write, Verdict.UNKNOWN, None, None, "the drive does not say whether it is tripped")
-        states = register.text(status) or ""
-        if "tripped" not in states.split(", "):
-            note = f"not tripped; {label(register)}: {states or 'none'}"
+        if register is None:
+            return None
+        try:
+            return (register.text(await self.read(drive, register)) or "").split(", ")
+        except Refused:
+            return None
+
+    async def _after_reset(self, drive: Drive, write: PlannedWrite) -> Outcome:
+        """Judge a fault reset by the status of the drive, which was tripped before: it is not any more."""
+        try:
+            states = await self._states(drive)
+        except (NoReply, BadReply):
+            states = None
+        if states is None:
+            return Outcome(drive, write, Verdict.UNKNOWN, None, None, NOT_SAID)
+        if "tripped" not in states:
+            said = ", ".join(filter(None, states)) or "none"
+            note = f"not tripped any more; {label(drive.model.registers['status'])}: {said}"
             return Outcome(drive, write, Verdict.DONE, None, None, note)
         return Outcome(drive, write, Verdict.NOT_DONE, None, None, f"still tripped{await self._trip(drive)}")
 
@@ -199,6 +226,11 @@ class Session:
         register = drive.model.registers.get("trip_code")
         code = None if register is None else await self.read_if_possible(drive, register)
         return f", {register.text(code)}" if register is not None and code is not None else ""
+
+
+def may_be_done(error: LineDown) -> str:
+    """Say of a write that went out on a port that is gone what is known of it."""
+    return f"it may have been done ({error})"
 
 
 def processing_time(drive: Drive) -> float:

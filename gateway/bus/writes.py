@@ -16,6 +16,11 @@ from gateway.protocol.codec import Codec, NoSuchForm
 from gateway.protocol.pdu import Target, WriteRam, WriteStored
 
 LIFELINES = ("baud_rate", "parity", "number", "protocol")  # roles; a wrong value cuts the line to the drive
+STARTS = frozenset(  # bits by which a motor may start: FA00, FA11; a reset lets a run signal at the terminals through
+    ("run", "jog", "fault_reset", "up", "down", "mode", "enter", "easy", "local_remote")
+)
+STOPS = frozenset(("emergency_stop", "coast", "stop", "maximum_deceleration_stop"))  # bits that win over those
+SPEEDS = ("Hz", "min-1")  # units of setpoints that start nothing at 0
 
 
 class Why(Enum):
@@ -101,8 +106,22 @@ def plan_write(
         codec.encode(request)
     except NoSuchForm as error:
         raise BadCommand(Why.NO_FORM, f"{label(register)}: {error}") from error
-    may_start = register.name in model.cautions.may_start
-    return PlannedWrite(register, word, request, _in_words(register, codec, is_stored), may_start)
+    used = _in_words(register, codec, is_stored)
+    return PlannedWrite(register, word, request, used, may_start(model, register, word))
+
+
+def may_start(model: Model, register: Register, word: int) -> bool:
+    """Say whether a motor may start, or change its speed, by this word; a stop and a speed of 0 start nothing.
+
+    Bits that are in neither table are judged by their register: where one of its bits starts, the others do not.
+    """
+    if register.name not in model.cautions.may_start:
+        return False
+    if register.bits:
+        names = {name for bit, name in register.bits.items() if word >> bit & 1}
+        starts = STARTS & set(register.bits.values()) or set(register.bits.values())
+        return bool(names & starts) and not names & STOPS
+    return word != 0 or register.unit not in SPEEDS
 
 
 def limited_by(model: Model, register: Register) -> tuple[Register, ...]:
@@ -200,6 +219,7 @@ class Verdict(Enum):
     EQUAL = "not written: reads so already"
     REFUSED = "refused"
     NOT_DONE = "not done"
+    NOT_WRITTEN = "not written"
     UNKNOWN = "unknown"
 
     @property

@@ -127,8 +127,8 @@ def write(
 ) -> None:
     """Write values to a drive, or to the drives of a group, and read them back.
 
-    To RAM where drive and protocol can do that. A motor may start when FA00, FA01, FA13 or FA20 is written, and
-    runs on when the command has ended.
+    To RAM where drive and protocol can do that. A motor may start when FA00, FA01 or FA13 is written, and runs on
+    when the command has ended; a stop is written without a question.
     """
     target = target_of(chosen)
     given = tuple(writing.assignment(text) for text in assignments)

@@ -12,7 +12,7 @@ from gateway.commissioning.reading import in_words
 from gateway.commissioning.targets import Target
 from gateway.drives.notation import NotUnderstood, found, label, raw_word_of, word_of
 from gateway.drives.register import Register
-from gateway.errors import BadReply, NoReply
+from gateway.errors import BadReply, LineDown, NoReply, Refused
 from gateway.site import Drive
 
 Say = Callable[[str], None]
@@ -70,13 +70,21 @@ def _plan(drive: Drive, item: Assignment, wish: Wish, bounds: dict[str, dict[str
 async def write(session: Session, target: Target, wish: Wish, say: Say) -> bool:
     """Check the drives and the values, write, say what came of it; False where not all is as it was to be.
 
-    NoReply: the only drive is silent, and nothing was written. In a group a silent drive may hear all the same.
+    NoReply: the only drive is silent, LineDown: the port is gone, and nothing was written. In a group a silent
+    drive may hear all the same.
     """
     plans = plan(target.drives, wish)
     await check_models(session, target)
     plans = plan(target.drives, wish, await _bounds(session, plans))
     for place, writes in enumerate(plans):
-        if not await _write(session, writes, target, wish, say):
+        try:
+            is_good = await _write(session, writes, target, wish, say)
+        except (LineDown, NoReply, BadReply, Refused) as error:
+            say(f"  not written: {error}")
+            if place == 0:
+                raise
+            is_good = False
+        if not is_good:
             left = [label(later[0][1].register) for later in plans[place + 1 :]]
             if left:
                 say(f"not written any more: {', '.join(left)}")
@@ -107,7 +115,7 @@ async def _bounds(session: Session, plans: Sequence[Writes]) -> dict[str, dict[s
 
 async def _write(session: Session, writes: Writes, target: Target, wish: Wish, say: Say) -> bool:
     drive, first = writes[0]
-    say(f"{label(first.register)} = {in_words(first.register, first.word)}: {first.used}")
+    say(f"writing {label(first.register)} = {in_words(first.register, first.word)}: {first.used}")
     if target.is_group:
         done = await write_together(session, writes, again=wish.again)
         outcomes: Sequence[Outcome] = done.outcomes
@@ -125,6 +133,6 @@ def told(outcome: Outcome) -> str:
     register = outcome.write.register
     note = AGAIN if outcome.verdict is Verdict.EQUAL else outcome.note
     verdict = "; ".join(filter(None, (outcome.verdict.value, note)))
-    if outcome.old is None and outcome.new is None:
+    if outcome.new is None and (outcome.old is None or outcome.verdict is Verdict.NOT_WRITTEN):
         return f"{outcome.drive.name}: {verdict}"
     return f"{outcome.drive.name}: {in_words(register, outcome.old)} -> {in_words(register, outcome.new)}: {verdict}"

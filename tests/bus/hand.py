@@ -12,6 +12,7 @@ from gateway import site
 from gateway.bus.line import Line
 from gateway.bus.session import Session, opened
 from gateway.clock import Clock
+from gateway.errors import LineDown
 from gateway.protocol.pdu import Request
 from gateway.sim import settings
 from gateway.sim.drive import SimulatedDrive
@@ -94,6 +95,18 @@ class Hand:
     def sent(self, request: Request, name: str) -> int:
         """Count how often that request to a configured drive was sent."""
         return self.frames.count(self.drive(name).codec.encode(request))
+
+
+def gone_from(hand: Hand, place: int) -> None:
+    """Let the adapter be pulled out at that frame, counted from 0, as seen by whoever sends it and all later ones."""
+    hand.frames.clear()
+
+    def hear(frame: bytes, wire: Wire) -> None:
+        if len(hand.frames) >= place:
+            raise LineDown("pulled out")
+        type(hand.ear).hear(hand.ear, frame, wire)
+
+    hand.ear.hear = hear  # type: ignore[method-assign]
 
 
 def configured(drives: Sequence[Mapping[str, Any]], files: Sequence[str] = (), **line: Any) -> site.Line:

@@ -10,9 +10,10 @@ import pytest
 from gateway.bus.group_writes import GroupOutcome, write_together
 from gateway.bus.writes import Allowed, Verdict, plan_write
 from gateway.drives.notation import word_of
+from gateway.errors import LineDown
 from gateway.protocol.pdu import EVERY_DRIVE, Group, WriteRam
 from gateway.sim.faults import Kind
-from tests.bus.hand import Hand, play
+from tests.bus.hand import Hand, gone_from, play
 from tests.soak import FACTOR
 
 STORED = Allowed(stored=True)
@@ -152,6 +153,46 @@ def test_a_fault_reset_of_a_group_is_seen_at_each_drive(protocol: str) -> None:
         assert all(outcome.note.startswith("not tripped") for outcome in done.outcomes)
 
     play(line(protocol, 1, 2), scene)
+
+
+@pytest.mark.hazard("H09")
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_fault_reset_of_a_group_goes_to_its_tripped_drives_only(protocol: str) -> None:
+    """One by one; the one that runs goes on running, the silent one is not written to."""
+
+    async def scene(hand: Hand) -> None:
+        hand.simulated(1).inverter.trip(1)
+        hand.fault(Kind.CUT, 3)
+        done = await write(hand, ["d1", "d2", "d3"], "command", "fault_reset+command_priority")
+        assert addresses(done) == ["number 1"]
+        assert verdicts(done) == {"d1": Verdict.DONE, "d2": Verdict.NOT_WRITTEN, "d3": Verdict.NOT_WRITTEN}
+        assert [outcome.note[:11] for outcome in done.outcomes[1:]] == ["not tripped", "number 3: n"]
+
+    play(line(protocol, 1, 2, 3, running_at=20.0), scene)
+
+
+@pytest.mark.hazard("H15")
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_port_that_goes_leaves_what_was_sent_unknown_and_the_rest_not_written(protocol: str) -> None:
+    """Two drives of three that are addressed one by one: two reads, two frames, two read-backs."""
+
+    async def scene(hand: Hand) -> None:
+        expected = [
+            (2, Verdict.UNKNOWN, Verdict.NOT_WRITTEN, (0, 0)),
+            (3, Verdict.UNKNOWN, Verdict.UNKNOWN, (2500, 0)),
+            (4, Verdict.UNKNOWN, Verdict.UNKNOWN, (2500, 2500)),
+            (5, Verdict.DONE, Verdict.UNKNOWN, (2500, 2500)),
+        ]
+        gone_from(hand, 1)
+        with pytest.raises(LineDown):
+            await write(hand, ["d5", "d16"], "frequency_command", "25.00")
+        for place, first, second, words in expected:
+            gone_from(hand, place)
+            done = await write(hand, ["d5", "d16"], "frequency_command", "25.00")
+            assert verdicts(done) == {"d5": first, "d16": second}
+            assert (hand.word(5, "frequency_command"), hand.word(16, "frequency_command")) == words
+
+    play(line(protocol, 5, 16, 27), scene)
 
 
 def disturbed_group(chance: Random) -> set[Verdict]:

@@ -10,10 +10,10 @@ import pytest
 from gateway.bus.session import READ_TRIES
 from gateway.bus.writes import Allowed, PlannedWrite, Verdict, plan_write
 from gateway.drives.notation import word_of
-from gateway.errors import BadConfig, BadReply, NoReply, Refused
+from gateway.errors import BadConfig, BadReply, LineDown, NoReply, Refused
 from gateway.sim.faults import Kind
 from gateway.site import Drive
-from tests.bus.hand import Hand, play
+from tests.bus.hand import Hand, gone_from, play
 from tests.soak import FACTOR
 
 STORED = Allowed(stored=True)
@@ -195,6 +195,59 @@ def test_a_fault_reset_is_sent_once_and_the_status_tells(protocol: str) -> None:
         outcome = await hand.session.write(drive, reset)
         assert (outcome.verdict, outcome.note[:11]) == (Verdict.DONE, "not tripped")
         assert hand.sent(reset.request, "d1") == 1
+
+    play([nc3(protocol=protocol)], scene)
+
+
+@pytest.mark.hazard("H09")
+@every_protocol
+def test_a_drive_that_is_not_tripped_is_not_reset(protocol: str) -> None:
+    """Its output would be cut, and its RAM lost: it goes on running."""
+
+    async def scene(hand: Hand) -> None:
+        drive = hand.drive("d1")
+        reset = planned(drive, "command", "fault_reset+command_priority")
+        outcome = await hand.session.write(drive, reset)
+        assert (outcome.verdict, outcome.note) == (
+            Verdict.NOT_WRITTEN,
+            "not tripped: a reset would stop it and clear its RAM",
+        )
+        assert hand.sent(reset.request, "d1") == 0
+
+    play([nc3(protocol=protocol, running_at=30.0)], scene)
+
+
+@pytest.mark.hazard("H09")
+@every_protocol
+def test_a_fault_reset_of_a_drive_that_stays_silent_is_unknown(protocol: str) -> None:
+    """It was tripped, and nobody knows whether it is."""
+
+    async def scene(hand: Hand) -> None:
+        drive = hand.drive("d1")
+        hand.simulated(1).inverter.trip(1)
+        reset = planned(drive, "command", "fault_reset+command_priority")
+        hand.fault_at(reset.request, "d1", Kind.CUT)
+        assert (await hand.session.write(drive, reset)).verdict is Verdict.UNKNOWN
+
+    play([nc3(protocol=protocol)], scene)
+
+
+@pytest.mark.hazard("H15")
+@every_protocol
+@pytest.mark.parametrize(("place", "word"), [(1, 0), (2, 3000)])
+def test_a_port_that_goes_with_a_write_leaves_it_unknown(place: int, word: int, protocol: str) -> None:
+    """At the write itself, or at its read-back; before that nothing was written, and LineDown says so."""
+
+    async def scene(hand: Hand) -> None:
+        drive = hand.drive("d1")
+        write = planned(drive, "frequency_command", "30.00")
+        gone_from(hand, 0)
+        with pytest.raises(LineDown):
+            await hand.session.write(drive, write)
+        gone_from(hand, place)
+        outcome = await hand.session.write(drive, write)
+        assert (outcome.verdict, outcome.note) == (Verdict.UNKNOWN, "it may have been done (pulled out)")
+        assert hand.word(1, "frequency_command") == word
 
     play([nc3(protocol=protocol)], scene)
 

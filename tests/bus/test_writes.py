@@ -32,6 +32,7 @@ MODELS = load()
 MB1 = MODELS["vf-mb1"]
 TOSHIBA = ("toshiba-ascii", "toshiba-binary")
 STORED = Allowed(stored=True)
+EVERYTHING = Allowed(stored=True, keys=True)
 
 LIMITED = """
 extend = "vf-mb1"
@@ -182,6 +183,36 @@ def test_what_another_register_limits_is_refused_beyond_it(tmp_path: Path) -> No
     assert plan_write(model, codec, 1, frequency, 8001).word == 8001
 
 
+STARTING = [
+    ("command", 0x8400),  # run
+    ("command", 0x0100),  # jog
+    ("command", 0xA000),  # a fault reset, for a run signal at the terminals is obeyed after it
+    ("frequency_command", 1),
+    ("motor_speed_command", 1),
+    ("panel_frequency", 1),
+    ("command_2", 0x0100),
+    ("external_keys", 0x0001),
+    ("external_keys", 0x0004),
+    ("local_remote", 0),  # hands over to whoever commands from elsewhere
+    ("local_remote", 1),
+]
+STOPPING = [
+    ("command", 0),
+    ("command", 0x8000),
+    ("command", 0xC040),
+    ("command", 0x1000),
+    ("command", 0x0800),
+    ("command", 0x8C00),  # coast and run: the output is off
+    ("command", 0x9400),
+    ("frequency_command", 0),
+    ("motor_speed_command", 0),
+    ("panel_frequency", 0),
+    ("command_2", 0),
+    ("command_2", 0x0080),
+    ("external_keys", 0x0002),
+]
+
+
 @pytest.mark.hazard("H09")
 def test_a_fault_reset_is_not_answered_and_goes_alone() -> None:
     """Bit 13 of FA00; with the run bit it is refused."""
@@ -193,11 +224,17 @@ def test_a_fault_reset_is_not_answered_and_goes_alone() -> None:
 
 
 def test_what_may_start_a_motor_says_so() -> None:
-    """FA00, FA01, FA13, FA20; not the time-out, nor the display."""
-    for name in ("command", "frequency_command", "motor_speed_command", "command_2"):
-        assert plan(name, 0).may_start, name
+    """FA00, FA01, FA13, FA20, keys; not the time-out, nor the display."""
+    for name, word in STARTING:
+        assert plan(name, word, allowed=EVERYTHING).may_start, (name, word)
     for name in ("communication_timeout", "led_number"):
-        assert not plan(name, 0).may_start, name
+        assert not plan(name, 1, allowed=EVERYTHING).may_start, name
+
+
+def test_a_stop_starts_nothing() -> None:
+    """Nobody shall be asked first: emergency stop, coast, run bit cleared, speed 0, the STOP key."""
+    for name, word in STOPPING:
+        assert not plan(name, word, allowed=EVERYTHING).may_start, (name, word)
 
 
 def test_a_number_that_the_protocol_has_not_got_is_refused_before_anything_is_sent() -> None:

@@ -115,7 +115,7 @@ def test_write_says_what_it_used_and_reads_back(file: str, line: SimulatedLine) 
     done = command("write", "--config", file, "--drive", "mixer", "F803=1.5")
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == [
-        "communication_timeout (0803) = 1.5 s (000FH): P, RAM only: lost when the drive is reset",
+        "writing communication_timeout (0803) = 1.5 s (000FH): P, RAM only: lost when the drive is reset",
         "  mixer: 0.0 s (0000H) -> 1.5 s (000FH): done",
     ]
     assert command("write", "--config", file, "--drive", "mixer", "F803=0").returncode == 0
@@ -145,13 +145,13 @@ def test_what_may_start_a_motor_needs_yes_where_there_is_no_terminal(file: str) 
     assert "0.00 Hz (0000H) -> 10.00 Hz (03E8H): done" in agreed.stdout
 
 
-@pytest.mark.parametrize(("answer", "code", "word"), [(b"n\n", 1, 0), (b"y\n", 0, 0x0040)])
+@pytest.mark.parametrize(("answer", "code", "word"), [(b"n\n", 1, 0), (b"y\n", 0, 0x0100)])
 def test_a_terminal_is_asked(file: str, answer: bytes, code: int, word: int) -> None:
-    """No is no."""
+    """No is no; a stop is never asked about."""
     master, slave = pty.openpty()
     try:
         os.write(master, answer)
-        done = command("write", "--config", file, "--drive", "pump-4", "command=acceleration_2", stdin=slave)
+        done = command("write", "--config", file, "--drive", "pump-4", "command=jog", stdin=slave)
     finally:
         os.close(slave)
         os.close(master)
@@ -160,6 +160,8 @@ def test_a_terminal_is_asked(file: str, answer: bytes, code: int, word: int) -> 
     assert ("done" in done.stdout) is (word != 0)
     (found,) = json.loads(command("read", "--config", file, "--drive", "pump-4", "FA00", "--json").stdout)
     assert found["raw"] == word
+    stopped = command("write", "--config", file, "--drive", "pump-4", "command=none", "frequency_command=0")
+    assert stopped.returncode == 0, stopped.stderr
 
 
 def test_display_keys_and_proportional(file: str, line: SimulatedLine) -> None:

@@ -10,9 +10,9 @@ from gateway.bus.writes import Allowed, BadCommand
 from gateway.commissioning.targets import Target
 from gateway.commissioning.writing import Wish, assignment, plan, write
 from gateway.drives.notation import NotUnderstood
-from gateway.errors import BadConfig, NoReply
+from gateway.errors import BadConfig, LineDown, NoReply
 from gateway.sim.faults import Kind
-from tests.bus.hand import Hand, play
+from tests.bus.hand import Hand, gone_from, play
 from tests.drives.files import written
 
 STORED = Allowed(stored=True)
@@ -39,9 +39,9 @@ def test_what_was_used_the_old_value_and_the_new_one_are_said() -> None:
         assert await said(hand, wish("frequency_command=30.0", "FA00=run+command_priority")) == (
             True,
             [
-                "frequency_command (FA01) = 30.00 Hz (0BB8H): 06H, RAM only",
+                "writing frequency_command (FA01) = 30.00 Hz (0BB8H): 06H, RAM only",
                 "  d1: 0.00 Hz (0000H) -> 30.00 Hz (0BB8H): done",
-                "command (FA00) = run, command_priority (8400H): 06H, RAM only",
+                "writing command (FA00) = run, command_priority (8400H): 06H, RAM only",
                 "  d1: none (0000H) -> run, command_priority (8400H): done",
             ],
         )
@@ -159,7 +159,7 @@ def test_a_group_is_told_with_its_frames_and_each_of_its_drives() -> None:
         is_good, lines = await said(hand, wish("frequency_command=30.0"), "d1", "d2")
         assert not is_good
         assert lines == [
-            "frequency_command (FA01) = 30.00 Hz (0BB8H): 06H, RAM only",
+            "writing frequency_command (FA01) = 30.00 Hz (0BB8H): 06H, RAM only",
             "  to 0 (modbus-rtu): d1, d2; nobody answers",
             "  d1: 0.00 Hz (0000H) -> 30.00 Hz (0BB8H): done",
             "  d2: unknown; silent",
@@ -177,6 +177,33 @@ def test_a_single_silent_drive_ends_it() -> None:
             await said(hand, wish("frequency_command=30.0"))
 
     play([NC3], scene)
+
+
+@pytest.mark.hazard("H15")
+@pytest.mark.parametrize("names", [("d1",), ("d1", "d2")])
+def test_a_port_that_goes_never_leaves_a_write_without_a_word(names: tuple[str, ...]) -> None:
+    """Whichever frame it goes at: 0 before anything was written, and after that every write has its line."""
+
+    async def scene(hand: Hand) -> None:
+        for place in range(30):
+            gone_from(hand, place)
+            lines: list[str] = []
+            target = Target(hand.line, tuple(map(hand.drive, names)), is_group=len(names) > 1)
+            try:
+                is_good = await write(hand.session, target, wish("FA01=30.0", f"F880={place}"), lines.append)
+            except LineDown:
+                assert all(frame[1] in (0x03, 0x2B) for frame in hand.frames), "nothing but reads"
+                assert not any("done" in line for line in lines)
+                continue
+            if is_good:
+                assert place > 5
+                return
+            assert any("it may have been done (pulled out)" in line or "not written" in line for line in lines)
+            if not any("free_notes" in line and "writing" in line for line in lines):
+                assert lines[-1] == "not written any more: free_notes (0880)"
+        raise AssertionError("the port was never there long enough")
+
+    play([NC3, {**NC3, "number": 2}], scene)
 
 
 def test_assignments_have_a_form() -> None:
