@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 from gateway.errors import GatewayError
+from gateway.sim.loop import sharpen
 from gateway.sim.runner import opened
 from gateway.sim.settings import SimulatedLineConfig
 
@@ -22,6 +23,7 @@ def main() -> int:
         config = SimulatedLineConfig.model_validate_json(sys.stdin.readline())
         with opened(config, Path(sys.argv[1])) as line:
             loop = line.loop
+            sharpen()  # whoever reads the name of the port finds it served
             loop.add_reader(sys.stdin.fileno(), loop.stop)
             sys.stdout.write(json.dumps({"port": config.link or loop.port.name}) + "\n")
             sys.stdout.flush()

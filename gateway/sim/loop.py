@@ -20,7 +20,10 @@ SPIN = 0.0002  # seconds: a sleep ends some 60 us late, and the event wants as m
 
 
 def sharpen() -> None:
-    """Make this thread's waits end at once instead of within 50 us, and spare it long garbage collections."""
+    """Make this thread's waits end at once instead of within 50 us, and spare it long garbage collections.
+
+    It takes a while the first time, and hardly any the next.
+    """
     with contextlib.suppress(OSError, AttributeError):  # not on every system; the line is a little later then
         ctypes.CDLL(None, use_errno=True).prctl(PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 0, 0)
     gc.collect()

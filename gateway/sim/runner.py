@@ -12,7 +12,7 @@ from pathlib import Path
 from gateway.errors import GatewayError
 from gateway.sim.control import Control, ControlSocket
 from gateway.sim.journal import Entry, Way, told
-from gateway.sim.loop import LineLoop
+from gateway.sim.loop import LineLoop, sharpen
 from gateway.sim.pty_port import PtyPort
 from gateway.sim.settings import SimulatedLineConfig, install, notes
 
@@ -30,6 +30,7 @@ class OpenLine:
 def simulate(config: SimulatedLineConfig, *, control: Path | None, announce: Callable[[str], None]) -> None:
     """Run a simulated line until SIGINT or SIGTERM, and say what is done to it; call it in the main thread."""
     with opened(config, control) as line, _ended_by_signal(line.loop):
+        sharpen()  # whoever reads the name of the port finds it served
         for text in describe(config, line.loop.port.name, control):
             announce(text)
         wire, begin = line.loop.wire, line.control.line.opened
