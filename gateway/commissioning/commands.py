@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import sys
 from collections.abc import Awaitable, Callable, Sequence
@@ -16,6 +15,7 @@ from gateway.bus.session import Session, opened
 from gateway.bus.writes import Allowed, BadCommand, Why
 from gateway.clock import SystemClock
 from gateway.commissioning import display, proportional, reading, scanning, writing
+from gateway.commissioning.breaking_off import BrokenOff, carry_out
 from gateway.commissioning.options import for_target
 from gateway.commissioning.targets import Chosen, Target, target_of
 from gateway.drives import panel
@@ -28,6 +28,7 @@ from gateway.site import Drive
 
 WRONG_CALLS = (BadConfig, BadCommand, NotUnderstood, OutOfRange, CannotShow, NoSuchForm)  # the user's to put right
 EXIT_NOT_DONE = 1
+EXIT_SIGNAL = 128  # and the number of the signal, as shells say it
 HINTS = {Why.STORED: "--stored", Why.NO_EFFECT: "--stored", Why.KEYS: "--allow-keys"}
 KEYS = ("key_state", "panel_keys", "panel_key_selection")  # FC00, FC01, FA10
 
@@ -65,7 +66,11 @@ def _carry_out(target: Target, work: Callable[[Session], Awaitable[Result]]) -> 
         async with opened(target.line, SystemClock()) as session:
             return await work(session)
 
-    return asyncio.run(main())
+    try:
+        return carry_out(main())
+    except BrokenOff as error:
+        typer.echo(f"tosvert-gateway: {error}", err=True)
+        raise typer.Exit(EXIT_SIGNAL + error.number) from None
 
 
 def _finish(is_good: bool) -> None:

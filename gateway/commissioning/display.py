@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from gateway.bus.session import Outcome, Session, processing_time
 from gateway.bus.writes import Allowed, BadCommand, PlannedWrite, Verdict, Why, plan_write
+from gateway.commissioning.breaking_off import to_the_end
 from gateway.drives import panel
 from gateway.drives.notation import label
 from gateway.drives.panel import Number
@@ -61,8 +62,12 @@ def text_words(drive: Drive, text: str, unit: int) -> tuple[int, ...]:
 
 def has_text_block(drive: Drive) -> bool:
     """Say whether a text goes into one frame: X with FA80 = 1, which must be set in RAM."""
-    forms = drive.codec.forms
-    return forms.has_exchange and forms.has_ram_write and BLOCK_MODE in drive.model.registers
+    return drive.codec.forms.has_exchange and has_block_mode(drive)
+
+
+def has_block_mode(drive: Drive) -> bool:
+    """Say whether a drive has FA80, and it can be set in RAM."""
+    return drive.codec.forms.has_ram_write and BLOCK_MODE in drive.model.registers
 
 
 async def show_text(session: Session, drive: Drive, words: Sequence[int], allowed: Allowed) -> Shown:
@@ -102,26 +107,43 @@ async def _one_by_one(session: Session, drive: Drive, plans: Sequence[PlannedWri
         if not outcomes[-1].verdict.is_good:
             break
     used = f"one by one, {label(plans[-1].register)} last: {plans[-1].used}"
-    return Shown(used, tuple(outcomes), await _notes(session, drive))
+    return Shown(used, tuple(outcomes), (*await _give_back(session, drive), *await _notes(session, drive)))
 
 
 async def _by_block(session: Session, drive: Drive, steps: Sequence[PlannedWrite], select: PlannedWrite) -> Shown:
-    """Write all five words in one frame, and FA80 back to what it was, whatever happens."""
+    """Write all five words in one frame, and FA80 back to 0, whatever happens."""
     mode = _register(drive, BLOCK_MODE)
     before = await session.read(drive, mode)
-    on, back = _plans(drive, [(mode, 1), (mode, before)], Allowed())
+    on, back = _plans(drive, [(mode, 1), (mode, 0)], Allowed())
     try:
         switched = await session.write(drive, on)
         if not switched.verdict.is_good:
             return Shown("block mode (FA80)", (switched,), (switched.note,))
         notes = await _exchange(session, drive, [write.word for write in steps])
     finally:
-        await _restore(session, drive, back)
+        await to_the_end(_restore(session, drive, back))
     outcomes = [await _read_back(session, drive, write) for write in steps]
     if all(outcome.verdict.is_good for outcome in outcomes):
         outcomes.append(await session.write(drive, select))
     used = f"all digits in one frame (X, {label(mode)} = 1 meanwhile), RAM only"
-    return Shown(used, tuple(outcomes), (*notes, *await _notes(session, drive)))
+    left_behind = (_left_behind(mode),) if before else ()
+    return Shown(used, tuple(outcomes), (*notes, *left_behind, *await _notes(session, drive)))
+
+
+async def _give_back(session: Session, drive: Drive) -> tuple[str, ...]:
+    """Set FA80 to 0 where somebody has left it behind, and say so; not where that would wear the EEPROM."""
+    if not has_block_mode(drive):
+        return ()
+    mode = _register(drive, BLOCK_MODE)
+    if not await session.read_if_possible(drive, mode):
+        return ()
+    (back,) = _plans(drive, [(mode, 0)], Allowed())
+    await to_the_end(_restore(session, drive, back))
+    return (_left_behind(mode),)
+
+
+def _left_behind(mode: Register) -> str:
+    return f"{label(mode)} was 1, left behind by another display: it is set to 0, and the block carries values again"
 
 
 async def _exchange(session: Session, drive: Drive, words: Sequence[int]) -> tuple[str, ...]:
@@ -145,7 +167,7 @@ async def _restore(session: Session, drive: Drive, back: PlannedWrite) -> None:
     for _ in range(RESTORE_TRIES):
         try:
             outcome = await session.write(drive, back)
-        except GatewayError as error:
+        except GatewayError as error:  # LineDown and silence alike
             reason = str(error)
         else:
             reason = outcome.note or outcome.verdict.value

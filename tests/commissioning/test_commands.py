@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -184,6 +185,26 @@ def test_display_keys_and_proportional(file: str, line: SimulatedLine) -> None:
         "  fan-0: 0.00 Hz -> 30.00 Hz (expected 30.00 Hz): done",
         "  fan-1: 0.00 Hz -> 30.00 Hz (expected 30.00 Hz): done",
     ]
+
+
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("times", [1, 3])
+def test_display_gives_the_block_back_when_a_signal_ends_it(
+    file: str, line: SimulatedLine, by: signal.Signals, times: int
+) -> None:
+    """Once or again and again, it makes no difference; the exit code is the signal's."""
+    arguments = [sys.executable, "-m", "gateway", "display", "--config", file, "--drive", "mixer", "AbCd"]
+    pipes = {"stderr": subprocess.PIPE, "stdout": subprocess.DEVNULL}
+    with subprocess.Popen(arguments, cwd=ROOT, text=True, **pipes) as running:
+        while line.state(22)["registers"]["block_mode"] == 0:
+            assert running.poll() is None, "it ended before FA80 was seen at 1"
+        for _ in range(times):
+            running.send_signal(by)
+        _, said = running.communicate(timeout=PATIENCE)
+    assert line.state(22)["registers"]["block_mode"] == 0
+    assert running.returncode == 128 + by
+    assert f"broken off by {by.name}" in said
+    assert "Traceback" not in said
 
 
 def test_scan_prints_a_configuration_that_check_accepts(line: SimulatedLine, tmp_path: Path) -> None:

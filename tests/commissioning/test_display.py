@@ -69,14 +69,50 @@ def test_the_panel_is_switched_to_the_text_last() -> None:
     play(drive(BINARY, led_selection=0), scene)
 
 
-def test_the_block_mode_goes_back_to_what_it_was() -> None:
-    """Somebody had it at 1."""
+@pytest.mark.parametrize("protocol", [ASCII, BINARY])
+def test_a_block_mode_that_was_left_behind_is_set_to_0(protocol: str) -> None:
+    """By a display that was killed; it is said."""
 
     async def scene(hand: Hand) -> None:
-        assert (await show(hand)).is_good
-        assert hand.word(1, "block_mode") == 1
+        done = await show(hand)
+        assert done.is_good
+        assert any(note.startswith("block_mode (FA80) was 1, left behind") for note in done.notes)
+        assert hand.word(1, "block_mode") == 0
+        assert not any("left behind" in note for note in (await show(hand)).notes)
+
+    play(drive(protocol, block_mode=1), scene)
+
+
+def test_a_number_gives_a_block_back_too() -> None:
+    """Whoever displays next ends what was left behind."""
+
+    async def scene(hand: Hand) -> None:
+        done = await display.show_number(hand.session, hand.drive("d1"), panel.number_of("12.3"), 2, NOTHING)
+        assert any("left behind" in note for note in done.notes)
+        assert hand.word(1, "block_mode") == 0
 
     play(drive(BINARY, block_mode=1), scene)
+
+
+def test_the_block_is_given_back_however_often_and_whenever_it_is_broken_off() -> None:
+    """Cancelled with every frame from FA80 = 1 on, again and again while it is given back."""
+
+    async def scene(hand: Hand) -> None:
+        for place in range(1, 30):
+            hand.frames.clear()
+            task = asyncio.create_task(show(hand))
+            while len(hand.frames) < place and not task.done():
+                await asyncio.sleep(0.001)
+            while not task.done():
+                task.cancel()
+                await asyncio.sleep(0.002)
+            assert hand.word(1, "block_mode") == 0, place
+            if not task.cancelled():
+                assert task.result().is_good
+                return
+        raise AssertionError("it never came to its end")
+
+    play(drive(BINARY), scene)
 
 
 @pytest.mark.parametrize("kind", [Kind.DROP, Kind.CUT])
