@@ -6,7 +6,9 @@ from typing import Any
 
 from pydantic import Field
 
-from gateway.config import Section, ValueName
+from gateway.config import Section
+from gateway.drives import notation
+from gateway.drives.model import Model
 from gateway.drives.register import Register
 from gateway.sim.drive import SimulatedDrive
 from gateway.sim.installation import Installation, WrongRequest
@@ -44,15 +46,24 @@ class OfDrive(Doing):
 class OfRegister(OfDrive):
     """Something that is done to a register of a drive."""
 
-    register_: ValueName = Field(alias="register", description="by its name in the catalogue")
+    register_: str = Field(
+        alias="register", pattern=r"^[A-Za-z0-9_]+$", description="by name, number or name on the panel"
+    )
 
 
-def known(drive: SimulatedDrive, name: str) -> str:
-    """Return the name of a register that the drive has; WrongRequest where it has none of that name."""
-    if not drive.inverter.memory.has(name):
-        model = drive.model.name
-        raise WrongRequest(f"{model} has no register {name!r}; `tosvert-gateway registers {model}` lists them")
-    return name
+def known(drive: SimulatedDrive, text: str) -> str:
+    """Return the name of the register that a text names: FA01, F803, trip_code; WrongRequest names the nearest."""
+    try:
+        return notation.found(drive.model, text).name
+    except notation.NotUnderstood as error:
+        address = notation.address_of(text)
+        reason = str(error) if address is None else _no_number(drive.model, text, address)
+        raise WrongRequest(reason) from error
+
+
+def _no_number(model: Model, text: str, address: int) -> str:
+    nearest = min(model.registers.values(), key=lambda register: abs(register.address - address))
+    return f"{model.name} has no register {text!r}; the nearest is {notation.label(nearest)}"
 
 
 def outside(register: Register, word: int) -> str:

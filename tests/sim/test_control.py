@@ -150,6 +150,16 @@ class TestDoings:
         result(line, do="force", drive=1, register="output_frequency")
         assert result(line, do="state", drive=1)["forced"] == {}
 
+    @pytest.mark.parametrize("text", ["communication_timeout", "F803", "0803", "0x0803", "0803H"])
+    def test_a_register_goes_by_its_number_too(self, line: OpenLine, text: str) -> None:
+        """As the commands take it; the journal has it as it was given."""
+        result(line, do="set", drive=1, register=text, value=20)
+        result(line, do="force", drive=1, register=text, value=77)
+        state = result(line, do="state", drive=1)
+        assert (state["timeout"]["period"], state["registers"]["communication_timeout"]) == (2.0, 20)
+        assert state["forced"] == {"0803": 77}
+        assert result(line, do="log", count=1)[0]["note"] == f"force drive=1 register={text} value=77"
+
     def test_faults_are_begun_and_ended(self, line: OpenLine) -> None:
         """A fault of a drive, one of the line, a cut wire; clearing says how many there were."""
         drives, faults = line.loop.wire.drives, line.loop.wire.faults
@@ -246,7 +256,21 @@ class TestQuestions:
         ({"do": "trip", "drive": 1.5, "code": 13}, "drive: a drive's number (0 to 247) is wanted, or the name"),
         ({"do": "trip", "drive": 1, "code": 13, "when": "now"}, "when: unknown key"),
         ({"do": "state", "drive": "fan"}, "no drive fan; on the line: 1, 2, pump"),
-        ({"do": "set", "drive": 1, "register": "colour", "value": 1}, "vf-nc3 has no register 'colour'; `tosvert"),
+        (
+            {"do": "set", "drive": 1, "register": "colour", "value": 1},
+            "vf-nc3 has no register 'colour'; see: ",
+        ),
+        (
+            {"do": "force", "drive": 1, "register": "trip_kode"},
+            "vf-nc3 has no register 'trip_kode'; did you mean",
+        ),
+        (
+            {"do": "force", "drive": 1, "register": "0xFA02"},
+            "vf-nc3 has no register '0xFA02'; the nearest is frequency_command (FA01)",
+        ),
+        ({"do": "set", "drive": 1, "register": "F874", "value": 1}, "vf-nc3 has no register 'F874'; the nearest is "),
+        ({"do": "force", "drive": 1, "register": "a b"}, "register: String should match pattern"),
+        ({"do": "force", "drive": 1, "register": 64_000}, "register: Input should be a valid string"),
         ({"do": "set", "drive": 1, "register": "led_selection", "value": 3}, "led_selection takes 0 to 2 (given: 3)"),
         ({"do": "fault", "kind": "gremlin"}, "kind: Input should be 'cut', "),
         ({"do": "fault", "kind": "drop", "value": 1}, "drop takes no value"),
@@ -273,7 +297,8 @@ REGISTERS = (
     "number protocol baud_rate block_read_1 block_mode led_selection led_number standard_monitor free_notes none"
 )
 COMMANDS = "communication_timeout panel_frequency frequency_command command output_frequency trip_code master_slave"
-REGISTER = st.sampled_from([*REGISTERS.split(), *COMMANDS.split()])
+NUMBERS = "F802 F803 FA00 0xFA01 FD00H 0803 ACC FA02 F87Z"
+REGISTER = st.sampled_from([*REGISTERS.split(), *COMMANDS.split(), *NUMBERS.split()])
 AMOUNT = st.one_of(st.integers(0, 300), st.lists(st.integers(0, 300), min_size=2, max_size=2).map(sorted))
 KEYS: dict[str, st.SearchStrategy[Any]] = {
     "drive": DRIVE,
