@@ -6,8 +6,9 @@ import struct
 from pathlib import Path
 
 from gateway.errors import GatewayError
+from gateway.sim.frames import STARTS, protocol_of
 from gateway.sim.journal import Entry, Way
-from gateway.sim.modbus import is_whole
+from gateway.sim.options import MODBUS_RTU, TOSHIBA
 
 MAGIC, VERSION = 0xA1B2C3D4, (2, 4)  # pcap, times in microseconds
 LONGEST = 65_535  # bytes of a packet
@@ -15,9 +16,7 @@ LONGEST_FRAME = 4096  # bytes of a frame that are kept: more is no frame of thes
 LINKTYPE_IPV4 = 228
 MASTER, LINE = bytes((192, 0, 2, 1)), bytes((192, 0, 2, 2))  # RFC 5737: for documentation
 MASTER_PORT = 40_000
-MODBUS_PORT = 502
-TOSHIBA_PORT = 829  # F829 chooses the protocol
-TOSHIBA_STARTS = (b"(", b"/")
+PORTS = {MODBUS_RTU: 502, TOSHIBA: 829}  # of the line; 829: F829 chooses the protocol
 UDP, TIME_TO_LIVE, VERSION_AND_LENGTH = 17, 64, 0x45
 
 
@@ -26,11 +25,16 @@ def header() -> bytes:
     return struct.pack("<IHHiIII", MAGIC, *VERSION, 0, 0, LONGEST, LINKTYPE_IPV4)
 
 
-def record(entry: Entry, opened: float) -> bytes:
-    """Return the record of a frame, at the time of its end, in seconds since the line was opened."""
-    is_toshiba = entry.data.startswith(TOSHIBA_STARTS) and not is_whole(entry.data)
-    data = entry.data[:LONGEST_FRAME]
-    line_port = TOSHIBA_PORT if is_toshiba else MODBUS_PORT
+def protocol(entry: Entry, before: int) -> int:
+    """Return the protocol (F829) of a frame; a broken one is of the frame before it, unless it begins a request."""
+    if (own := protocol_of(entry.data)) is not None:
+        return own
+    return TOSHIBA if entry.way is Way.REQUEST and entry.data.startswith(STARTS) else before
+
+
+def record(entry: Entry, opened: float, spoken: int) -> bytes:
+    """Return the record of a frame of that protocol, at the time of its end, in seconds since the line was opened."""
+    data, line_port = entry.data[:LONGEST_FRAME], PORTS[spoken]
     if entry.way is Way.REQUEST:
         packet = _packet(MASTER, MASTER_PORT, LINE, line_port, data)
     else:
@@ -46,18 +50,23 @@ def _packet(source: bytes, source_port: int, target: bytes, target_port: int, da
 
 
 class Capture:
-    """A capture file that is being written, of requests and of what the master hears."""
+    """A capture file that is being written, of requests and of what the master hears.
 
-    def __init__(self, path: Path, opened: float) -> None:
+    `spoken` is the protocol (F829) of a frame that is broken before any whole one has come.
+    """
+
+    def __init__(self, path: Path, opened: float, spoken: int = MODBUS_RTU) -> None:
         self._opened = opened
+        self._spoken = spoken
         self._file = path.open("wb", buffering=0)  # each frame is there at once
         self._file.write(header())
 
     def write(self, entry: Entry) -> None:
         """Write an entry of the journal, where it is a frame on the line."""
         if entry.way in (Way.REQUEST, Way.HEARD) and entry.data:
+            self._spoken = protocol(entry, self._spoken)
             try:
-                self._file.write(record(entry, self._opened))
+                self._file.write(record(entry, self._opened, self._spoken))
             except OSError as error:
                 raise GatewayError(f"the capture cannot be written: {error}") from error
 

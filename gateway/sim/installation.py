@@ -9,6 +9,7 @@ from typing import Any, Protocol
 from gateway.sim.capture import Capture
 from gateway.sim.drive import SimulatedDrive
 from gateway.sim.journal import Entry, Way
+from gateway.sim.options import MODBUS_RTU, TOSHIBA
 from gateway.sim.wire import Wire
 
 
@@ -116,5 +117,6 @@ class Installation:
             self._capture.close()
             self._capture = None
         if path is not None:
-            self._capture = Capture(path, self.opened)
+            has_modbus = any(drive.protocol == MODBUS_RTU for drive in self.wire.drives)
+            self._capture = Capture(path, self.opened, MODBUS_RTU if has_modbus else TOSHIBA)
             self.wire.journal.listen(self._capture.write)

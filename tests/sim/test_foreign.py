@@ -369,5 +369,6 @@ class TestTshark:
                 port.read(64)
         line.do({"do": "capture"})
         rows = dissected(capture)
+        assert {row["_ws.malformed"] for row in rows} == {""}
         assert ["mbrtu" in row["frame.protocols"] for row in rows] == [False] * 4 + [True] * 2
         assert {row["mbrtu.unit_id"] for row in rows[4:]} == {"40"}
