@@ -26,7 +26,7 @@ def is_whole(frame: bytes) -> bool:
 
 
 def protocol_of(frame: bytes) -> int | None:
-    """Return the protocol (F829) of a whole request or answer, by its check or stop code; None for any other frame."""
+    """Return the protocol (F829) of a whole request or answer, by its check or stop code; None for others."""
     if modbus.is_whole(frame):
         return MODBUS_RTU
     is_ascii = frame.startswith(toshiba_ascii.START) and frame.endswith(STOP)
