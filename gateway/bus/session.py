@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 from gateway import site
 from gateway.bus.exchange import Exchanger
-from gateway.bus.identification import SERIES, Identification
 from gateway.bus.line import Line
 from gateway.bus.serial_line import open_line
 from gateway.bus.worker import LATE_AT_MOST, SETTLE, Opener
@@ -16,7 +15,7 @@ from gateway.bus.writes import PlannedWrite, Verdict, judge
 from gateway.clock import Clock
 from gateway.drives.notation import label
 from gateway.drives.register import Register
-from gateway.errors import BadConfig, BadReply, LineDown, NoReply, Refusal, Refused
+from gateway.errors import BadReply, LineDown, NoReply, Refusal, Refused
 from gateway.metrics import LineStats
 from gateway.protocol.codec import Codec
 from gateway.protocol.pdu import Identify, Identity, ReadWords, Reply, Request, Words
@@ -123,24 +122,6 @@ class Session:
         except Refused:
             return None
         return reply if isinstance(reply, Identity) else None
-
-    async def check_model(self, drive: Drive) -> None:
-        """See that the drive is of the model that it is said to be, as far as it tells; BadConfig where it is not."""
-        who = Identification(drive)
-        identity = await self.identify(drive)
-        wrong = who.is_stranger(identity) if identity is not None else await self._is_other_series(who)
-        if wrong:
-            raise BadConfig(f"{drive.name}: {wrong}")
-
-    async def _is_other_series(self, who: Identification) -> str:
-        """Say why the drive is of another series than its model, "" where it does not tell."""
-        series = who.drive.model.registers.get(SERIES)
-        if series is None or who.drive.model.series_code is None:
-            return ""
-        try:
-            return who.is_other_series(series, await self.read(who.drive, series))
-        except Refused:
-            return ""
 
     # ---- writing
 

@@ -14,7 +14,7 @@ import typer
 from gateway.bus.session import Session, opened
 from gateway.bus.writes import Allowed, BadCommand, Why
 from gateway.clock import SystemClock
-from gateway.commissioning import display, proportional, reading, scanning, writing
+from gateway.commissioning import display, models, proportional, reading, scanning, writing
 from gateway.commissioning.breaking_off import BrokenOff, carry_out
 from gateway.commissioning.options import for_target
 from gateway.commissioning.targets import Chosen, Target, target_of
@@ -78,6 +78,10 @@ def _finish(is_good: bool) -> None:
         raise typer.Exit(EXIT_NOT_DONE)
 
 
+def _warn(what: str) -> None:
+    typer.echo(f"tosvert-gateway: {what}", err=True)
+
+
 def _confirm(what: Sequence[str], is_agreed: bool) -> None:
     """Ask before anything by which a motor may start; without a terminal only --yes will do."""
     if not what or is_agreed:
@@ -98,7 +102,9 @@ def read(
     wanted = [(drive, [reading.wanted(drive.model, name) for name in names]) for drive in target.drives]
 
     async def work(session: Session) -> list[reading.Reading]:
-        return [item for drive, asked in wanted for item in await _readings(session, target, drive, asked)]
+        values = [item for drive, asked in wanted for item in await _readings(session, target, drive, asked)]
+        await models.warn_of_others(session, target, _warn)
+        return values
 
     found = _carry_out(target, work)
     if as_json:
@@ -140,7 +146,7 @@ def write(
     wish = writing.Wish(given, Allowed(stored, allow_keys), raw, again)
     plans = [plan for writes in writing.plan(target.drives, wish) for _, plan in writes]
     _confirm(list(dict.fromkeys(label(plan.register) for plan in plans if plan.may_start)), yes)
-    _finish(_carry_out(target, lambda session: writing.write(session, target, wish, typer.echo)))
+    _finish(_carry_out(target, lambda session: writing.write(session, target, wish, typer.echo, _warn)))
 
 
 def display_(
@@ -159,7 +165,7 @@ def display_(
     words = [() if text is None else display.text_words(drive, text, led) for drive in target.drives]
 
     async def work(session: Session) -> bool:
-        await writing.check_models(session, target)
+        await models.check(session, target, _warn)
         is_good = True
         for drive, shown in zip(target.drives, words, strict=True):
             try:
@@ -199,6 +205,7 @@ def keys(chosen: Chosen) -> None:
             if not registers:
                 raise BadConfig(f"{drive.model.name}: the catalogue knows nothing of the panel's keys")
             found += await _readings(session, target, drive, registers)
+        await models.warn_of_others(session, target, _warn)
         return found
 
     found = _carry_out(target, work)
@@ -220,7 +227,7 @@ def proportional_(
     _confirm(["the proportional command (S, FA01)"], yes)
 
     async def work(session: Session) -> Sequence[proportional.Followed]:
-        await writing.check_models(session, target)
+        await models.check(session, target, _warn)
         expected = await proportional.expectations(session, target.drives, share, maximum)
         return await proportional.command(session, target.drives, frames, expected)
 

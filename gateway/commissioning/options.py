@@ -16,6 +16,7 @@ from gateway.commissioning.targets import Chosen
 
 FROM_FILE = "Drives of a configuration file"
 ONE_DRIVE = "One drive, without a file"
+CAUTION = "Caution"
 
 
 def _option(kind: Any, text: str, panel: str, *names: str, metavar: str | None = None) -> Any:
@@ -36,6 +37,7 @@ OPTIONS: dict[str, Any] = {
     "parity": _option(str, "even, odd or none (F801)", ONE_DRIVE),
     "wait_time": _option(str, "F805 as it is set in the drive", ONE_DRIVE),
     "catalogue": _option(list[Path] | None, "a further catalogue file", ONE_DRIVE, metavar="FILE"),
+    "any_model": _option(bool, "write to a drive that says it is of another model", CAUTION, "--any-model"),
 }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from gateway.bus.identification import IDENTITY_REGISTERS, SERIES
@@ -53,3 +53,36 @@ def _one_of(models: list[Model], by: str, *, is_sure: bool) -> Recognised:
     others = ", ".join(model.name for model in models[1:])
     doubt = "" if is_sure else f" only: check it{f'; it may be {others}' if others else ''}"
     return Recognised(models[0], by + doubt)
+
+
+def mismatch(model: Model, models: Mapping[str, Model], facts: Mapping[str, int], unknown: Collection[str]) -> str:
+    """Say why a drive is not of its model, and what it is instead; "" where nothing speaks against it.
+
+    `facts` are words by register name, `unknown` the names of those whose numbers the drive does not know.
+    """
+    told = _contradiction(model, models, facts, unknown)
+    if not told:
+        return ""
+    others = {name: other for name, other in models.items() if name != model.name}
+    best = recognise(others, None, facts).model
+    return f"identity mismatch: {model.name} is configured, {best.name if best else 'another model'} answers: {told}"
+
+
+def _contradiction(
+    model: Model, models: Mapping[str, Model], facts: Mapping[str, int], unknown: Collection[str]
+) -> str:
+    series, capacity = facts.get(SERIES, 0), facts.get(CAPACITY)
+    if model.series_code is not None and SERIES in unknown:
+        return f"it does not know the series code (FB07), which is {model.series_code} for {model.name}"
+    if series and not _is_series(model, series):
+        known = [other for other in models.values() if other.series_code is not None and _is_series(other, series)]
+        if model.series_code is not None or known:
+            return f"its series code (FB07) is {series}"
+    if model.capacities and capacity is not None and capacity not in model.capacities:
+        return f"its capacity code (FB05) is {capacity}, which {model.name} has not got"
+    return ""
+
+
+def _is_series(model: Model, word: int) -> bool:
+    """Say whether FB07 is that of a model; the manual prints the code without saying whether it is hexadecimal."""
+    return model.series_code is not None and word in (model.series_code, int(str(model.series_code), 16))

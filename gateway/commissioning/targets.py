@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from gateway import site
+from gateway.drives.model import Model
 from gateway.errors import BadConfig
 from gateway.site import Drive, Line
 
@@ -17,11 +18,16 @@ KEY = re.compile(r"command line: line\[0\]\.(?:drive\[0\](?: \(\w+\))?\.)?(\w+)(
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Drives of one line. `is_group` says that they are written to together."""
+    """Drives of one line. `is_group`: they are written to together; `any_model`: whatever they say they are.
+
+    `models` are those that a drive may be taken for.
+    """
 
     line: Line
     drives: tuple[Drive, ...]
     is_group: bool = False
+    any_model: bool = False
+    models: Mapping[str, Model] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +47,7 @@ class Chosen:
     parity: str = "even"
     wait_time: str = "0s"
     catalogue: Sequence[Path] = ()
+    any_model: bool = False
 
 
 def target_of(chosen: Chosen) -> Target:
@@ -48,7 +55,8 @@ def target_of(chosen: Chosen) -> Target:
     if (chosen.config is None) == (chosen.port is None):
         raise BadConfig("give --config FILE with --drive, --group or --everyone; or --port, --number and --model")
     if chosen.config is not None:
-        return _configured(site.load(chosen.config), chosen)
+        loaded = site.load(chosen.config)
+        return replace(_configured(loaded, chosen), any_model=chosen.any_model, models=loaded.catalogue)
     if chosen.number is None or chosen.model is None:
         raise BadConfig("--port needs --number and --model as well; `tosvert-gateway scan` finds both")
     if chosen.drive or chosen.group or chosen.everyone or chosen.line:
@@ -111,9 +119,10 @@ def _by_options(chosen: Chosen) -> Target:
     files = [str(path.absolute()) for path in chosen.catalogue]
     table: dict[str, Any] = {"gateway": {"name": "command", "catalogue": files}, "line": [line]}
     try:
-        built = site.build(table, "command line", Path()).lines[0]
+        loaded = site.build(table, "command line", Path())
     except BadConfig as error:
         raise BadConfig(KEY.sub(lambda match: "--" + match[1].replace("_", "-"), str(error))) from None
-    named = replace(built.drives[0], name=f"number {chosen.number}")
-    built = replace(built, drives=(named,))
-    return Target(built, built.drives)
+    (only,) = loaded.lines
+    named = replace(only.drives[0], name=f"number {chosen.number}")
+    only = replace(only, drives=(named,))
+    return Target(only, only.drives, any_model=chosen.any_model, models=loaded.catalogue)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from gateway.bus.group_writes import Writes, write_together
 from gateway.bus.session import Outcome, Session
 from gateway.bus.writes import Allowed, PlannedWrite, Verdict, check_access, limited_by, plan_write
+from gateway.commissioning import models
 from gateway.commissioning.reading import in_words
 from gateway.commissioning.targets import Target
 from gateway.drives.notation import NotUnderstood, found, label, raw_word_of, word_of
@@ -67,14 +68,14 @@ def _plan(drive: Drive, item: Assignment, wish: Wish, bounds: dict[str, dict[str
     return plan_write(drive.model, drive.codec, drive.number, register, word, wish.allowed, limits)
 
 
-async def write(session: Session, target: Target, wish: Wish, say: Say) -> bool:
-    """Check the drives and the values, write, say what came of it; False where not all is as it was to be.
+async def write(session: Session, target: Target, wish: Wish, say: Say, warn: Say) -> bool:
+    """Check the drives and the values, write, say what came of it, warn; False where not all is as it was to be.
 
     NoReply: the only drive is silent, LineDown: the port is gone, and nothing was written. In a group a silent
     drive may hear all the same.
     """
     plans = plan(target.drives, wish)
-    await check_models(session, target)
+    await models.check(session, target, warn)
     plans = plan(target.drives, wish, await _bounds(session, plans))
     for place, writes in enumerate(plans):
         try:
@@ -90,16 +91,6 @@ async def write(session: Session, target: Target, wish: Wish, say: Say) -> bool:
                 say(f"not written any more: {', '.join(left)}")
             return False
     return True
-
-
-async def check_models(session: Session, target: Target) -> None:
-    """See that the drives are of the models that they are said to be; a silent one of a group is let be."""
-    for drive in target.drives:
-        try:
-            await session.check_model(drive)
-        except (NoReply, BadReply):
-            if not target.is_group:
-                raise
 
 
 async def _bounds(session: Session, plans: Sequence[Writes]) -> dict[str, dict[str, int]]:

@@ -10,7 +10,7 @@ import pytest
 from gateway.bus.session import READ_TRIES
 from gateway.bus.writes import Allowed, PlannedWrite, Verdict, plan_write
 from gateway.drives.notation import word_of
-from gateway.errors import BadConfig, BadReply, LineDown, NoReply, Refused
+from gateway.errors import BadReply, LineDown, NoReply, Refused
 from gateway.sim.faults import Kind
 from gateway.site import Drive
 from tests.bus.hand import Hand, gone_from, play
@@ -265,28 +265,6 @@ def test_a_fault_reset_that_did_not_help_says_what_the_trip_is(protocol: str) ->
         assert outcome.note == "still tripped, oc1: Overcurrent during acceleration"
 
     play([nc3(protocol=protocol)], scene)
-
-
-@pytest.mark.hazard("H07")
-@every_protocol
-def test_the_model_is_checked_as_far_as_the_drive_tells(protocol: str) -> None:
-    """By 2BH, or by the series code of the VF-nC3; a VF-MB1 has none that is known."""
-
-    async def right(hand: Hand) -> None:
-        await hand.session.check_model(hand.drive("d1"))
-
-    async def wrong(hand: Hand) -> None:
-        with pytest.raises(BadConfig, match=r"d1: .*vf-nc3"):
-            await hand.session.check_model(hand.drive("d1"))
-
-    play([nc3(protocol=protocol)], right)
-    play([{**nc3(protocol=protocol), "model": "vf-mb1"}], right)
-    play(
-        [{**nc3(protocol=protocol), "is": "vf-mb1"}]
-        if protocol == "modbus-rtu"
-        else [nc3(protocol=protocol, registers={"series_code": 7})],
-        wrong,
-    )
 
 
 FAULTS = (Kind.DROP, Kind.CUT, Kind.LATE, Kind.TRUNCATE, Kind.FLIP, Kind.DUPLICATE, Kind.BABBLE, Kind.ECHO)

@@ -194,8 +194,7 @@ def test_display_gives_the_block_back_when_a_signal_ends_it(
 ) -> None:
     """Once or again and again, it makes no difference; the exit code is the signal's."""
     arguments = [sys.executable, "-m", "gateway", "display", "--config", file, "--drive", "mixer", "AbCd"]
-    pipes = {"stderr": subprocess.PIPE, "stdout": subprocess.DEVNULL}
-    with subprocess.Popen(arguments, cwd=ROOT, text=True, **pipes) as running:
+    with subprocess.Popen(arguments, cwd=ROOT, text=True, stderr=subprocess.PIPE, stdout=subprocess.PIPE) as running:
         while line.state(22)["registers"]["block_mode"] == 0:
             assert running.poll() is None, "it ended before FA80 was seen at 1"
         for _ in range(times):
@@ -224,6 +223,22 @@ def test_scan_prints_a_configuration_that_check_accepts(line: SimulatedLine, tmp
     assert checked.returncode == 0, checked.stderr
     assert "drive drive-22: number 22, vf-nc3, toshiba-binary" in checked.stdout
     assert checked.stdout.rstrip().endswith("no errors")
+
+
+def test_a_wrong_model_is_warned_of_and_not_written_to(line: SimulatedLine) -> None:
+    """In TOSHIBA too, where nothing has a name; --any-model writes all the same."""
+    wrong = one(line, 22, "vf-mb1", "toshiba-binary")
+    said = "number 22: identity mismatch: vf-mb1 is configured, vf-nc3 answers: its series code (FB07) is 208"
+    for shown in (command("read", *wrong, "FD00"), command("keys", *wrong)):
+        assert shown.returncode == 0
+        assert said in shown.stderr
+    assert "30.00 Hz" in command("read", *wrong, "FD00").stdout
+    refused = command("write", *wrong, "F803=0")
+    assert (refused.returncode, refused.stdout) == (78, "")
+    assert said in refused.stderr
+    written = command("write", *wrong, "F803=0", "--any-model")
+    assert written.returncode == 0
+    assert said in written.stderr
 
 
 def test_a_silent_drive_of_a_group_does_not_hold_up_the_others(file: str, line: SimulatedLine) -> None:

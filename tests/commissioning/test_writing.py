@@ -28,7 +28,8 @@ async def said(hand: Hand, wanted: Wish, *names: str) -> tuple[bool, list[str]]:
     """Write to drives of the line, together where there are several; return success and what was said."""
     drives = tuple(hand.drive(name) for name in names or ("d1",))
     lines: list[str] = []
-    is_good = await write(hand.session, Target(hand.line, drives, is_group=len(drives) > 1), wanted, lines.append)
+    target = Target(hand.line, drives, is_group=len(drives) > 1)
+    is_good = await write(hand.session, target, wanted, lines.append, lines.append)
     return is_good, lines
 
 
@@ -190,7 +191,7 @@ def test_a_port_that_goes_never_leaves_a_write_without_a_word(names: tuple[str, 
             lines: list[str] = []
             target = Target(hand.line, tuple(map(hand.drive, names)), is_group=len(names) > 1)
             try:
-                is_good = await write(hand.session, target, wish("FA01=30.0", f"F880={place}"), lines.append)
+                is_good = await write(hand.session, target, wish("FA01=30.0", f"F880={place}"), lines.append, print)
             except LineDown:
                 assert all(frame[1] in (0x03, 0x2B) for frame in hand.frames), "nothing but reads"
                 assert not any("done" in line for line in lines)
