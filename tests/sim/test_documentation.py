@@ -22,6 +22,7 @@ from gateway.sim.questions import table
 from gateway.sim.runner import opened
 from gateway.sim.scenario import When
 from gateway.sim.settings import SimulatedLineConfig, build, from_options, install, load
+from tests.sim.test_port import keep_gap
 from tests.sim.test_wire import READ, heard
 
 ROOT = Path(__file__).parents[2]
@@ -162,6 +163,7 @@ class TestShell:
         assert len(commands) > 6
         for command, output in commands:
             shell = command.replace("python -m", f"{sys.executable} -m")
+            keep_gap()  # two programs owe each other 3.5 characters; nobody types as fast as that
             done = subprocess.run(
                 ["bash", "-c", shell], capture_output=True, text=True, timeout=PATIENCE, check=False
             )
