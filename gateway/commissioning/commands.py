@@ -222,7 +222,7 @@ def proportional_(
 ) -> None:
     """Give drives a frequency in percent, which each converts by its own F810-F814 (TOSHIBA binary, RAM only)."""
     target = target_of(chosen)
-    share, maximum = _number(percent, "percent"), None if fh is None else _number(fh, "--fh")
+    share, maximum = _number(percent, "percent"), None if fh is None else proportional.maximum_of(fh)
     frames = proportional.plan(target.drives, target.line.drives, share)
     _confirm(["the proportional command (S, FA01)"], yes)
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from decimal import Decimal
+from decimal import Decimal, InvalidOperation
 
 from gateway.bus.groups import MODBUS, Reach, reach
 from gateway.bus.session import Session, processing_time
 from gateway.bus.writes import BadCommand, Verdict, Why
 from gateway.drives import proportional
 from gateway.drives.register import Register
+from gateway.errors import BadConfig, BadReply, LineDown, NoReply, Refused
 from gateway.protocol.codec import NoSuchForm
 from gateway.protocol.pdu import Proportional
 from gateway.protocol.registry import PROTOCOLS
@@ -30,6 +31,8 @@ class Followed:
     expected: Decimal | None
     verdict: Verdict | None
 
+
+HIGHEST = Decimal(500)  # Hz, FH of any drive at the most
 
 Frame = tuple[Reach, Proportional]
 
@@ -69,18 +72,41 @@ async def expectations(
 ) -> Mapping[str, Decimal | None]:
     """Read F810-F814, and FH where the catalogue has it, and work out each drive's frequency in Hz, by name.
 
-    BadCommand where one would be beyond FH: the drives do not check it. `maximum` is FH, where it was given.
+    BadCommand where one would be beyond FH, or what FA01 takes: the drives do not check it. `maximum` is FH, where it
+    was given. NoReply: the only drive is silent.
     """
     found = {}
     for drive in drives:
-        words = {}
-        for register in proportional.registers_of(drive.model):
-            word = await session.read_if_possible(drive, register)
-            if word is not None:
-                words[register.name] = word
+        words = await _settings(session, drive, is_only=len(drives) == 1)
         found[drive.name] = proportional.expected(percent, drive.model, words, maximum)
         _check_limit(drive, found[drive.name], maximum or _maximum(drive, words))
     return found
+
+
+def maximum_of(text: str) -> Decimal:
+    """Read FH in Hz; BadConfig where it is no frequency that a drive can have."""
+    try:
+        value = Decimal(text) if text.isascii() else Decimal("NaN")
+    except InvalidOperation:
+        value = Decimal("NaN")
+    if not value.is_finite() or not 0 < value <= HIGHEST:
+        raise BadConfig(f"--fh {text}: give FH in Hz, above 0 and up to {HIGHEST}")
+    return value
+
+
+async def _settings(session: Session, drive: Drive, *, is_only: bool) -> dict[str, int]:
+    """Read what a drive converts by, as far as it has it; silence of the only drive passes through (NoReply)."""
+    words = {}
+    for register in proportional.registers_of(drive.model):
+        try:
+            words[register.name] = await session.read(drive, register)
+        except Refused:
+            continue
+        except (NoReply, BadReply):
+            if is_only:
+                raise
+            break
+    return words
 
 
 def _maximum(drive: Drive, words: Mapping[str, int]) -> Decimal | None:
@@ -89,8 +115,20 @@ def _maximum(drive: Drive, words: Mapping[str, int]) -> Decimal | None:
 
 
 def _check_limit(drive: Drive, frequency: Decimal | None, limit: Decimal | None) -> None:
-    if frequency is not None and limit is not None and frequency > limit:
+    if frequency is None:
+        return
+    if frequency > _highest(drive):
+        text = f"{drive.name}: F810-F814 make {frequency} Hz of that, beyond {_highest(drive)} Hz: put them right"
+        raise BadCommand(Why.RANGE, text)
+    if limit is not None and frequency > limit:
         raise BadCommand(Why.RANGE, f"{drive.name}: that is {frequency} Hz, beyond FH, {limit} Hz")
+
+
+def _highest(drive: Drive) -> Decimal:
+    """Return the most that FA01 can be given, in Hz."""
+    register = _register(drive)
+    top = register.scaling.limits[1] if register.maximum is None else register.maximum
+    return min(HIGHEST, top * register.scaling.scale)
 
 
 async def command(
@@ -101,14 +139,27 @@ async def command(
 ) -> tuple[Followed, ...]:
     """Send the command, which nobody answers, and read back the frequency command of each drive."""
     old = {drive.name: await _read(session, drive) for drive in drives}
-    for frame, request in frames:
-        await session.send(PROTOCOLS[BINARY], request, max(map(processing_time, frame.drives)))
+    sent: set[str] = set()
+    try:
+        for frame, request in frames:
+            sent |= {drive.name for drive in frame.drives}
+            await session.send(PROTOCOLS[BINARY], request, max(map(processing_time, frame.drives)))
+    except LineDown:
+        return tuple(_lost(drive, old[drive.name], expected[drive.name], drive.name in sent) for drive in drives)
     followed = []
     for drive in drives:
-        new = await _read(session, drive)
-        verdict = _judge(new, expected[drive.name])
-        followed.append(Followed(drive, old[drive.name], new, expected[drive.name], verdict))
+        try:
+            new = await _read(session, drive)
+        except LineDown:
+            new = None
+        before, wanted = old[drive.name], expected[drive.name]
+        followed.append(Followed(drive, before, new, wanted, _judge(before, new, wanted)))
     return tuple(followed)
+
+
+def _lost(drive: Drive, old: Decimal | None, expected: Decimal | None, is_sent: bool) -> Followed:
+    """Say of a drive on a port that is gone what is known."""
+    return Followed(drive, old, None, expected, Verdict.UNKNOWN if is_sent else Verdict.NOT_WRITTEN)
 
 
 async def _read(session: Session, drive: Drive) -> Decimal | None:
@@ -116,12 +167,15 @@ async def _read(session: Session, drive: Drive) -> Decimal | None:
     return None if word is None else _register(drive).decode(word)
 
 
-def _judge(new: Decimal | None, expected: Decimal | None) -> Verdict | None:
-    """Judge what reads back: a count more or less is rounding (6.1)."""
+def _judge(old: Decimal | None, new: Decimal | None, expected: Decimal | None) -> Verdict | None:
+    """Judge what reads back: a count more or less is rounding (6.1).
+
+    Where nothing is expected a change says that it was heard, and nothing says that it was not: unknown.
+    """
     if new is None:
         return Verdict.UNKNOWN
     if expected is None:
-        return None
+        return Verdict.UNKNOWN if old is None or new == old else None
     return Verdict.DONE if abs(new - expected) <= proportional.STEP else Verdict.NOT_DONE
 
 

@@ -98,6 +98,7 @@ class Search:
 async def scan(search: Search) -> Result:
     """Try everything that is wanted, in turn, until drives are found (all of it where the wish `is_all`).
 
+    Before a setting is given up its likely numbers are asked once more: a lost frame shall not hide an only drive.
     LineDown: the port cannot be opened. BadReply: somebody talks on the line without being asked.
     """
     settings = await _settings(search)
@@ -106,7 +107,7 @@ async def scan(search: Search) -> Result:
     if await _look(search, settings, first, rest) and not search.wish.is_all:
         return search.result
     tried = {found.setting for found in search.result.found}
-    await _look(search, [setting for setting in settings if setting not in tried], rest, ())
+    await _look(search, [setting for setting in settings if setting not in tried], (*first, *rest), ())
     return search.result
 
 
@@ -122,7 +123,8 @@ async def _settings(search: Search) -> Sequence[Setting]:
     if search.is_network:
         search.result.notes.append("baud rate and parity are set in the serial server, and were not tried")
     has_any = not is_pty and not search.is_network
-    return scan_plan.settings(search.wish, has_parity=has_any, has_baud=has_any)
+    has_baud = has_any or (is_pty and search.wish.is_each_baud)
+    return scan_plan.settings(search.wish, has_parity=has_any, has_baud=has_baud)
 
 
 async def _look(search: Search, settings: Sequence[Setting], probes: Sequence[Probe], rest: Sequence[Probe]) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import get_args
@@ -18,6 +19,8 @@ BAUDS = (19200, 9600, 38400)  # as shipped first
 PARITIES = ("even", "none", "odd")
 TOSHIBA = ("toshiba-binary", "toshiba-ascii")  # drives speak both; the numbers of the binary mode end at 63
 LIKELY = range(1, 17)  # numbers that are tried everywhere before any other
+HIGHEST = 247  # inverter number, of any protocol
+RANGE = re.compile(r"([0-9]{1,3})(?:-([0-9]{1,3}))?")
 WHOEVER = None  # a TOSHIBA request without a number is answered by every drive (E6581657 4.1)
 
 
@@ -43,7 +46,11 @@ class Probe:
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What to look for. `numbers` is empty where all are wanted; `wait_time` is F805 at the most, in seconds."""
+    """What to look for. `numbers` is empty where all are wanted; `wait_time` is F805 at the most, in seconds.
+
+    `is_each_baud`: the baud rates were asked for, and are tried even where the port itself has none (a pty, which
+    another program may carry to a line).
+    """
 
     port: str
     bauds: tuple[int, ...] = BAUDS
@@ -52,17 +59,33 @@ class Wish:
     numbers: tuple[int, ...] = ()
     wait_time: float = 0.0
     is_all: bool = False
+    is_each_baud: bool = False
 
 
 def numbers_of(text: str) -> tuple[int, ...]:
     """Read "1-16,20"; BadConfig says the form."""
     numbers: list[int] = []
     for part in text.split(","):
-        first, dash, last = part.strip().partition("-")
-        if not first.isdigit() or (dash and not last.isdigit()) or int(last or first) > 247:
-            raise BadConfig(f"--numbers {text}: give numbers from 0 to 247, such as 1-16,20")
-        numbers += range(int(first), int(last or first) + 1)
+        match = RANGE.fullmatch(part.strip())
+        if match is None:
+            raise BadConfig(f"--numbers {text!r}: give numbers from 0 to {HIGHEST}, such as 1-16,20")
+        first, last = int(match[1]), int(match[2] or match[1])
+        if (top := max(first, last)) > HIGHEST:
+            raise BadConfig(f"--numbers {text!r}: {top} is above {HIGHEST}; give numbers such as 1-16,20")
+        if first > last:
+            raise BadConfig(f"--numbers {text!r}: {part.strip()} is empty; give {last}-{first}")
+        numbers += range(first, last + 1)
     return tuple(dict.fromkeys(numbers))
+
+
+def check_numbers(protocols: Sequence[str], numbers: Sequence[int]) -> None:
+    """Refuse (BadConfig) numbers that none of the protocols has: nothing would be asked."""
+    if not numbers or any(number in PROTOCOLS[name].forms.numbers for name in protocols for number in numbers):
+        return
+    ranges = {name: PROTOCOLS[name].forms.numbers for name in protocols}
+    known = ", ".join(f"{name} {each[0]} to {each[-1]}" for name, each in ranges.items())
+    given = ", ".join(map(str, numbers))
+    raise BadConfig(f"--numbers {given}: no protocol that is tried has these: {known}")
 
 
 def protocols_of(names: Iterable[str]) -> tuple[str, ...]:
@@ -104,6 +127,12 @@ def second_look(wish: Wish, models: Mapping[str, Model]) -> tuple[Probe, ...]:
         return ()
     rest = [number for number in PROTOCOLS[MODBUS].forms.numbers if number not in LIKELY]
     return _numbered(set(wish.protocols) & {MODBUS}, rest, models)
+
+
+def everything(wish: Wish, models: Mapping[str, Model]) -> tuple[Probe, ...]:
+    """Return what is asked at each setting where nobody answers: the first look is repeated with the second."""
+    first = first_look(wish, models)
+    return (*first, *first, *second_look(wish, models))
 
 
 def every_toshiba(wish: Wish, models: Mapping[str, Model]) -> tuple[Probe, ...]:

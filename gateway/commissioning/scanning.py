@@ -126,15 +126,11 @@ def _wish(
         wait = seconds(wait_time)
     except ValueError as error:
         raise BadConfig(f"--wait-time {wait_time}: {error}") from error
-    return Wish(
-        port,
-        tuple(baud) or scan_plan.BAUDS,
-        tuple(parity) or scan_plan.PARITIES,
-        scan_plan.protocols_of(protocol),
-        scan_plan.numbers_of(numbers) if numbers else (),
-        wait,
-        is_all,
-    )
+    protocols = scan_plan.protocols_of(protocol)
+    wanted = () if numbers is None else scan_plan.numbers_of(numbers)
+    scan_plan.check_numbers(protocols, wanted)
+    bauds, parities = tuple(baud) or scan_plan.BAUDS, tuple(parity) or scan_plan.PARITIES
+    return Wish(port, bauds, parities, protocols, wanted, wait, is_all, is_each_baud=bool(baud))
 
 
 def _check_port(port: str) -> None:
@@ -149,7 +145,7 @@ def _check_port(port: str) -> None:
 def _longest(search: Search) -> str:
     """Say how long it takes where nobody answers."""
     wish, models = search.wish, search.models
-    probes = (*scan_plan.first_look(wish, models), *scan_plan.second_look(wish, models))
+    probes = scan_plan.everything(wish, models)
     settings = scan_plan.settings(wish, has_parity=not search.is_network, has_baud=not search.is_network)
     total = sum(scan_plan.longest(probes, setting, search.processing, search.margin) for setting in settings)
     minutes, rest = divmod(int(total + 1), 60)

@@ -11,8 +11,9 @@ from gateway.bus.writes import BadCommand, Verdict, Why
 from gateway.commissioning import proportional
 from gateway.commissioning.proportional import Followed, told
 from gateway.drives.scaling import OutOfRange
+from gateway.errors import BadConfig, NoReply
 from gateway.sim.faults import Kind
-from tests.bus.hand import Hand, play
+from tests.bus.hand import Hand, gone_from, play
 
 BINARY = "toshiba-binary"
 
@@ -94,6 +95,69 @@ def test_what_would_be_beyond_fh_is_not_sent() -> None:
             await command(hand, ["d1"], "100.01")
 
     play([mb1(1, 9000)], scene)
+
+
+@pytest.mark.hazard("H31")
+def test_a_frequency_that_no_drive_has_is_not_sent() -> None:
+    """Points that stand close together lead to hundreds of hertz."""
+
+    async def scene(hand: Hand) -> None:
+        with pytest.raises(BadCommand, match=r"d1: F810-F814 make 600\.00 Hz of that, beyond 500 Hz: put them right"):
+            await command(hand, ["d1"], "100")
+        assert not [frame for frame in hand.frames if b"S" in frame]
+
+    steep = mb1(1)
+    steep["registers"] = {"frequency_points": 1, "point_2_setting": 10, "point_2_frequency": 6000}
+    play([steep], scene)
+
+
+def test_a_silent_only_drive_ends_it_and_one_of_several_does_not() -> None:
+    """Before anything is sent."""
+
+    async def scene(hand: Hand) -> None:
+        hand.fault(Kind.CUT, 1)
+        with pytest.raises(NoReply):
+            await command(hand, ["d1"], "50")
+        assert not [frame for frame in hand.frames if b"S" in frame]
+        first, second = await command(hand, ["d1", "d2"], "50")
+        assert (first.verdict, second.verdict) == (Verdict.UNKNOWN, Verdict.DONE)
+
+    play([mb1(1), mb1(2)], scene)
+
+
+def test_a_drive_of_which_nothing_is_known_and_nothing_moved_is_unknown() -> None:
+    """It may not have heard it; once it moved, it has."""
+
+    async def scene(hand: Hand) -> None:
+        (moved,) = await command(hand, ["d1"], "50")
+        (still,) = await command(hand, ["d1"], "50")
+        assert (moved.verdict, still.verdict) == (None, Verdict.UNKNOWN)
+
+    play([mb1(1, points=0)], scene)
+
+
+@pytest.mark.hazard("H15")
+def test_a_port_that_goes_leaves_what_was_sent_unknown_and_the_rest_not_written() -> None:
+    """Two of three drives, addressed one by one."""
+
+    async def scene(hand: Hand) -> None:
+        drives, share = [hand.drive("d1"), hand.drive("d2")], Decimal(50)
+        frames = proportional.plan(drives, hand.line.drives, share)
+        expected = await proportional.expectations(hand.session, drives, share, None)
+        for place, verdicts in ((2, [Verdict.UNKNOWN, Verdict.NOT_WRITTEN]), (4, [Verdict.UNKNOWN] * 2)):
+            gone_from(hand, place)
+            followed = await proportional.command(hand.session, drives, frames, expected)
+            assert [item.verdict for item in followed] == verdicts
+
+    play([mb1(1), mb1(2), mb1(3)], scene)
+
+
+def test_fh_is_a_frequency() -> None:
+    """Not infinite, nor nothing."""
+    assert proportional.maximum_of("80.5") == Decimal("80.5")
+    for text in ("nan", "inf", "0", "-10", "x", "500.01", "\u0665"):
+        with pytest.raises(BadConfig, match=r"--fh .*: give FH in Hz, above 0 and up to 500"):
+            proportional.maximum_of(text)
 
 
 @pytest.mark.parametrize(

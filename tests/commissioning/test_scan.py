@@ -154,7 +154,7 @@ def test_all_goes_on_where_something_is_found() -> None:
 
 
 def test_where_nobody_answers_the_scan_ends_in_the_time_that_was_said() -> None:
-    """Every question once; advice instead of a configuration."""
+    """The likely questions twice, the others once; advice instead of a configuration."""
 
     async def main() -> None:
         loop = asyncio.get_running_loop()
@@ -163,7 +163,7 @@ def test_where_nobody_answers_the_scan_ends_in_the_time_that_was_said() -> None:
         search = Search(wish, MODELS, virtual.VirtualClock(), stage, stage.open)
         begun = loop.time()
         result = await scan(search)
-        probes = (*scan_plan.first_look(wish, MODELS), *scan_plan.second_look(wish, MODELS))
+        probes = scan_plan.everything(wish, MODELS)
         longest = scan_plan.longest(probes, Setting(9600, "odd"), search.processing, search.margin)
         assert loop.time() - begun < longest + 1.0
         assert len(stage.ear.frames) == len(probes) == stage.steps
@@ -198,6 +198,17 @@ def test_a_lost_answer_hides_no_drive_where_others_answer() -> None:
     stage, result = look([*drives, toshiba(1), modbus(2)])
     assert {item[0] for item in found(result)} == {1, 2, 5, 6}
     assert stage.steps == stage.planned
+
+
+@pytest.mark.parametrize("numbers", [(), (3, 5)])
+@pytest.mark.parametrize(("protocol", "lost"), [("toshiba", 2), ("modbus-rtu", 1)])
+def test_a_lost_answer_does_not_hide_the_only_drive_of_a_line(
+    protocol: str, lost: int, numbers: tuple[int, ...]
+) -> None:
+    """Before all is given up the likely numbers are asked once more at every setting."""
+    only = {"number": 5, "model": "vf-nc3", "protocol": protocol, "fault": [{"kind": "drop", "count": lost}]}
+    _, result = look([only], Wish("/dev/x", protocols=scan_plan.protocols_of([protocol]), numbers=numbers), baud=9600)
+    assert {item[0] for item in found(result)} == {5}
 
 
 def test_a_late_answer_is_not_taken_for_the_next_number_and_told_of() -> None:
@@ -254,6 +265,13 @@ def test_on_a_pty_one_setting_is_enough_and_said() -> None:
     assert set(stage.opened) == {Setting(19200, "even")}
     assert found(result) == [(1, "modbus-rtu", "vf-nc3")]
     assert "a pseudo-terminal has no parity" in result.notes[0]
+
+
+def test_baud_rates_that_are_asked_for_are_tried_on_a_pty_too() -> None:
+    """Another program may carry it to a line that has one."""
+    wish = Wish("/dev/x", bauds=(9600, 38400), numbers=(9,), is_each_baud=True)
+    stage, _ = look([modbus(1)], wish, is_pty=True)
+    assert set(stage.opened) == {Setting(9600, "even"), Setting(38400, "even")}
 
 
 def test_what_was_found_is_a_configuration_that_is_accepted(tmp_path: Path) -> None:

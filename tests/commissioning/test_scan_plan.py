@@ -96,8 +96,17 @@ def test_numbers_and_protocols_of_the_command_line() -> None:
     assert scan_plan.protocols_of([]) == ("toshiba-binary", "toshiba-ascii", MODBUS)
     scan_plan.one_of("--baud", [9600], "baud")
     wrong: list[tuple[Any, str]] = [
-        (lambda: scan_plan.numbers_of("a-3"), "--numbers a-3: give numbers from 0 to 247, such as 1-16,20"),
-        (lambda: scan_plan.numbers_of("1-248"), "--numbers 1-248: give numbers from 0 to 247"),
+        (lambda: scan_plan.numbers_of("a-3"), "--numbers 'a-3': give numbers from 0 to 247, such as 1-16,20"),
+        (lambda: scan_plan.numbers_of("1-248"), "--numbers '1-248': 248 is above 247"),
+        (lambda: scan_plan.numbers_of("20-10"), "--numbers '20-10': 20-10 is empty; give 10-20"),
+        (lambda: scan_plan.numbers_of(""), "--numbers '': give numbers from 0 to 247, such as 1-16,20"),
+        (lambda: scan_plan.numbers_of("1,,2"), "give numbers from 0 to 247, such as 1-16,20"),
+        (lambda: scan_plan.numbers_of("²"), "give numbers from 0 to 247, such as 1-16,20"),
+        (lambda: scan_plan.numbers_of("\u0661"), "give numbers from 0 to 247, such as 1-16,20"),
+        (
+            lambda: scan_plan.check_numbers(scan_plan.protocols_of(["toshiba"]), (100, 101)),
+            "--numbers 100, 101: no protocol that is tried has these: toshiba-binary 0 to 63, toshiba-ascii 0 to 99",
+        ),
         (lambda: scan_plan.protocols_of(["profibus"]), "--protocol profibus: give toshiba, modbus-rtu"),
         (lambda: scan_plan.one_of("--baud", [1200], "baud"), "--baud 1200: give 9600, 19200, 38400"),
         (lambda: scan_plan.one_of("--parity", ["E"], "parity"), "--parity E: give even, odd, none"),
