@@ -22,6 +22,7 @@ from gateway.protocol.pdu import Identify, Identity, ReadWords, Reply, Request, 
 from gateway.site import Drive
 
 UNTRIPPED = "not tripped: a reset would stop it and clear its RAM"
+GARBAGE = "number {} answers garbage (do two drives have this number?)"
 NOT_SAID = "the drive does not say whether it is tripped"
 
 READ_TRIES = 3  # a read may be repeated; a write without an answer may have been done, and never is
@@ -68,7 +69,10 @@ class Session:
                 return await self._answer(drive, request)
             except (NoReply, BadReply):
                 await self._let_late_answers_pass()
-        return await self._answer(drive, request)
+        try:
+            return await self._answer(drive, request)
+        except BadReply as error:
+            raise BadReply(f"{GARBAGE.format(drive.number)}: {error}") from error
 
     async def _answer(self, drive: Drive, request: Request) -> Reply:
         answered = await self._exchanger.exchange(drive.codec, request, processing_time(drive))

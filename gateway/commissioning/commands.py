@@ -161,8 +161,10 @@ def display_(
         raise BadConfig("give a TEXT, or --value NUMBER")
     target = target_of(chosen)
     led, allowed = panel.unit_of(unit), Allowed(stored=stored)
-    number = None if value is None else panel.number_of(value)
+    number = None if value is None else _shown_number(value)
     words = [() if text is None else display.text_words(drive, text, led) for drive in target.drives]
+    for drive, shown in zip(target.drives, words, strict=True):  # all of them, before anything is sent
+        display.check(drive, shown if number is None else number, led, allowed)
 
     async def work(session: Session) -> bool:
         await models.check(session, target, _warn)
@@ -182,6 +184,13 @@ def display_(
         return is_good
 
     _finish(_carry_out(target, work))
+
+
+def _shown_number(text: str) -> panel.Number:
+    """Read a number for the panel, which has neither a sign nor other digits than 0 to 9."""
+    if not text.isascii() or text.lstrip().startswith("-"):
+        raise CannotShow(f"--value {text}: the panel shows 0 to 9999, 0.0 to 999.9 or 0.00 to 99.99, without sign")
+    return panel.number_of(text)
 
 
 def _tell_shown(drive: Drive, done: display.Shown) -> None:
@@ -241,6 +250,9 @@ def proportional_(
 
 def _number(text: str, what: str) -> Decimal:
     try:
-        return Decimal(text)
+        value = Decimal(text if text.isascii() else "NaN")
     except InvalidOperation:
-        raise BadConfig(f"{what}: a number is wanted (given: {text!r})") from None
+        value = Decimal("NaN")
+    if not value.is_finite():
+        raise BadConfig(f"{what}: a number is wanted (given: {text!r})")
+    return value

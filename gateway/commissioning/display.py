@@ -70,6 +70,16 @@ def has_block_mode(drive: Drive) -> bool:
     return drive.codec.forms.has_ram_write and BLOCK_MODE in drive.model.registers
 
 
+def check(drive: Drive, shown: Sequence[int] | Number, unit: int, allowed: Allowed) -> None:
+    """Refuse (BadCommand) what cannot be written to a drive, or must not be, before anything is sent to any."""
+    if isinstance(shown, Number):
+        _number_plans(drive, shown, unit, allowed)
+        return
+    for which in (TEXT_1, TEXT_2):
+        _steps(drive, which, shown, allowed)
+        _plans(drive, [(_register(drive, SELECTION), which)], allowed)
+
+
 async def show_text(session: Session, drive: Drive, words: Sequence[int], allowed: Allowed) -> Shown:
     """Show a text: all digits at once by the block, or else in the place that is not shown, and then switched to."""
     select = {which: _plans(drive, [(_register(drive, SELECTION), which)], allowed)[0] for which in (TEXT_1, TEXT_2)}
@@ -84,10 +94,13 @@ async def show_text(session: Session, drive: Drive, words: Sequence[int], allowe
 
 async def show_number(session: Session, drive: Drive, number: Number, unit: int, allowed: Allowed) -> Shown:
     """Show a number: FA66-FA68, and then FA65 switched to them."""
+    return await _one_by_one(session, drive, _number_plans(drive, number, unit, allowed))
+
+
+def _number_plans(drive: Drive, number: Number, unit: int, allowed: Allowed) -> list[PlannedWrite]:
     words = (number.digits, number.decimals, unit)
     steps = [(_register(drive, name), word) for name, word in zip(NUMBER_PARTS, words, strict=True)]
-    plans = _plans(drive, [*steps, (_register(drive, SELECTION), NUMBER)], allowed)
-    return await _one_by_one(session, drive, plans)
+    return _plans(drive, [*steps, (_register(drive, SELECTION), NUMBER)], allowed)
 
 
 def _steps(drive: Drive, which: int, words: Sequence[int], allowed: Allowed) -> list[PlannedWrite]:

@@ -20,6 +20,7 @@ from gateway.commissioning.findings import Result
 from gateway.commissioning.scan import Search
 from gateway.commissioning.scan import scan as look
 from gateway.commissioning.scan_plan import Wish
+from gateway.commissioning.targets import whole_path
 from gateway.config import LineSection, seconds
 from gateway.drives import catalogue
 from gateway.errors import BadConfig
@@ -103,7 +104,7 @@ def scan(
         result = _scan(Search(wish, models, SystemClock(), watcher))
     for line in scan_report.sentences(result):
         typer.echo(line, err=True)
-    typer.echo(scan_report.configuration(result, port), nl=False)
+    typer.echo(scan_report.configuration(result, wish.port), nl=False)
     if not result.found:
         raise typer.Exit(EXIT_NOTHING)
 
@@ -119,6 +120,7 @@ def _wish(
     is_all: bool,
 ) -> Wish:
     """Check the options; BadConfig says what is wrong with one."""
+    port = whole_path(port)
     _check_port(port)
     scan_plan.one_of("--baud", baud, "baud")
     scan_plan.one_of("--parity", parity, "parity")

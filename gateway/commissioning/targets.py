@@ -105,6 +105,12 @@ def _everyone(loaded: site.Site, name: str | None) -> Target:
     return Target(lines[0], lines[0].drives, is_group=True)
 
 
+def whole_path(port: str) -> str:
+    """Return the whole path of a port that is given from here (./line); others, socket:// too, as they are."""
+    is_here = "://" not in port and not port.startswith("/") and ("/" in port or Path(port).exists())
+    return str(Path(port).absolute()) if is_here else port
+
+
 def _by_options(chosen: Chosen) -> Target:
     """Build a line of one drive, by the rules of a configuration file, its errors named after the options."""
     drive = {
@@ -115,7 +121,8 @@ def _by_options(chosen: Chosen) -> Target:
         "wait_time": chosen.wait_time,
         "unit": 1,
     }
-    line = {"name": "line", "port": chosen.port, "baud": chosen.baud, "parity": chosen.parity, "drive": [drive]}
+    port = whole_path(chosen.port or "")
+    line = {"name": "line", "port": port, "baud": chosen.baud, "parity": chosen.parity, "drive": [drive]}
     files = [str(path.absolute()) for path in chosen.catalogue]
     table: dict[str, Any] = {"gateway": {"name": "command", "catalogue": files}, "line": [line]}
     try:

@@ -64,6 +64,19 @@ def test_a_read_is_repeated_where_its_answer_is_lost_or_broken(kind: Kind, proto
     play([nc3(protocol=protocol, running_at=30.0)], scene)
 
 
+@every_protocol
+def test_two_drives_with_one_number_are_suspected_where_garbage_answers(protocol: str) -> None:
+    """Their answers fall upon each other, each time."""
+
+    async def scene(hand: Hand) -> None:
+        drive = hand.drive("d1")
+        hand.fault(Kind.FLIP)
+        with pytest.raises(BadReply, match=r"number 1 answers garbage \(do two drives have this number\?\): "):
+            await hand.session.read(drive, drive.model.registers["output_frequency"])
+
+    play([nc3(protocol=protocol, running_at=30.0)], scene)
+
+
 @pytest.mark.hazard("H16")
 def test_a_late_answer_is_not_taken_for_the_next_ones() -> None:
     """MODBUS-RTU answers do not say what was asked: after silence the line is let rest first."""

@@ -206,6 +206,22 @@ def test_display_gives_the_block_back_when_a_signal_ends_it(
     assert "Traceback" not in said
 
 
+@pytest.mark.parametrize("shown", [("HI",), ("--value", "1")])
+def test_display_writes_to_nobody_where_one_cannot_be_written_to(
+    file: str, line: SimulatedLine, shown: tuple[str, ...]
+) -> None:
+    """The line is mixed: MODBUS-RTU would wear the EEPROM."""
+    before = [line.state(number)["registers"] for number in (0, 1, 22)]
+    done = command("display", "--config", file, "--everyone", *shown)
+    assert (done.returncode, done.stdout) == (78, "")
+    assert done.stderr.rstrip().endswith("(--stored)")
+    for number, registers in zip((0, 1, 22), before, strict=True):
+        now = line.state(number)["registers"]
+        assert {key: value for key, value in now.items() if "led" in key} == {
+            key: value for key, value in registers.items() if "led" in key
+        }
+
+
 def test_scan_prints_a_configuration_that_check_accepts(line: SimulatedLine, tmp_path: Path) -> None:
     """Written to a file as it comes."""
     done = command("scan", line.port, "--numbers", "0-4,22")
@@ -314,6 +330,10 @@ def test_a_port_that_another_has_is_told_with_its_holder(line: SimulatedLine, fi
         (("display", "--port", "/dev/x", "--number", "1", "--model", "vf-nc3"), "give a TEXT, or --value NUMBER"),
         (("display", "--port", "/dev/x", "--number", "1", "--model", "vf-nc3", "W"), "cannot show 'W'"),
         (("proportional", "--port", "/dev/x", "--number", "1", "--model", "vf-mb1", "x"), "percent: a number is"),
+        (("display", "--port", "/dev/x", "--number", "1", "--model", "vf-nc3", "--value", "-1"), "without sign"),
+        (("display", "--port", "/dev/x", "--number", "1", "--model", "vf-nc3", "--value", "\u0661"), "without sign"),
+        (("scan", "/dev/x", "--numbers", ""), "--numbers '': give numbers from 0 to 247"),
+        (("scan", "/dev/x", "--numbers", "100", "--protocol", "toshiba"), "no protocol that is tried has these"),
         (("keys", "--port", "ttyUSB0", "--number", "1", "--model", "vf-mb1"), "--port: give the whole path"),
         (("scan", "ttyUSB0"), 'ttyUSB0: give the whole path: "/dev/ttyUSB0"'),
         (("scan", "/dev/x", "--baud", "1200"), "--baud 1200: give 9600, 19200, 38400"),

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from gateway.commissioning.targets import Chosen, target_of
+from gateway.commissioning.targets import Chosen, target_of, whole_path
 from gateway.errors import BadConfig
 
 FILE = """
@@ -120,3 +120,15 @@ def test_what_is_not_in_the_file_is_answered_by_what_is(two_lines: Path, chosen:
     with pytest.raises(BadConfig) as caught:
         target_of(Chosen(config=two_lines, **chosen))
     assert said in str(caught.value)
+
+
+def test_a_port_may_be_given_from_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A link to a simulated line; a name that is not here is not guessed at."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "line").touch()
+    assert whole_path("line") == whole_path("./line") == str(tmp_path / "line")
+    assert whole_path("./none") == str(tmp_path / "none")
+    for port in ("ttyUSB0", "/dev/x", "socket://host:1"):
+        assert whole_path(port) == port
+    target = target_of(Chosen(port="line", number=1, model="vf-nc3"))
+    assert target.line.port == str(tmp_path / "line")
