@@ -126,7 +126,7 @@ DRIVE = ("line", 0, "drive", 0)
         (("line", 0, "port"), "socket://10.0.0.7", "an address and a port are wanted"),
         ((*DRIVE, "number"), 0, "line[0].drive[0] (pump-1).number: modbus-rtu has the numbers 1 to 247"),
         ((*DRIVE, "number"), -1, "line[0].drive[0].number (a) (pump-1)"),
-        (("line", 0, "group"), [{"name": "g", "drives": ["pump-9"]}], "no drive 'pump-9' on this line; known: pump-1"),
+        (("line", 0, "group"), [{"name": "g", "drives": ["pump-9"]}], "no drive 'pump-9' on this line; known: pump"),
         (("line", 0, "group"), [{"name": "g", "drives": ["pump-1", "pump-1"]}], "named more than once"),
         (("line", 0, "group"), [{"name": "g", "drives": ["pump-1"]}] * 2, "group name 'g' is taken by"),
         ((*DRIVE, "number"), 2, "MODBUS-RTU number on line a 2 is taken by"),
