@@ -504,8 +504,8 @@ class DriveReader:
 
     # ---- refusals
 
-    def on_refused(self, work: Work, refused: Refused, now: float) -> Learnt:
-        """Take a refusal: remember it, and serve the values another way."""
+    def on_refused(self, work: Work, sent: Request, refused: Refused, now: float) -> Learnt:
+        """Take a refusal of what was sent: remember it, and serve the values another way."""
         match work:
             case Work(Task.IDENTIFY):
                 self._who.refused(work)
@@ -518,7 +518,7 @@ class DriveReader:
                 return self._display_seen(0, now)
             case Work(Task.TRIP | Task.BLOCK_MODE):
                 return Learnt()
-            case Work(Task.POLL, request=ReadBlock()) if isinstance(self.request(work), Exchange):
+            case Work(Task.POLL) if isinstance(sent, Exchange):
                 return self._control.end(f"exchange: {refused}")
             case Work(Task.PROVE_BLOCK | Task.PROVE_SINGLE):
                 self._proof.drop()

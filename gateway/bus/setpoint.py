@@ -81,22 +81,19 @@ class Control:
 
     def take(self, setpoint: Setpoint | None, *, has_block: bool) -> Learnt:
         """Take a new setpoint, or None to end it; `has_block` says whether the drive's polls use the block."""
-        if setpoint is None or self.setpoint is None:
-            self._stage = Stage.LOOKING
-        self.setpoint, self._polls = setpoint, 0
         if setpoint is None:
+            self.end("")
             return Learnt()
+        is_new, self.setpoint = self.setpoint is None, setpoint
         if not has_block or not setpoint.fits(self.block, self.drive.model, self.drive.codec):
             return self.end("no exchange of this drive carries it")
-        if self._stage is Stage.PROVEN:
-            return Learnt()
-        self._stage = Stage.LOOKING
-        return Learnt(once=self._verifications([COMMAND]))
+        return Learnt(once=self._verifications([COMMAND]) if is_new else [])  # else the proof goes on, or is done
 
     def end(self, reason: str) -> Learnt:
         """Carry nothing any more; the exchange has to be proven again."""
         had, self.setpoint, self._stage = self.setpoint is not None, None, Stage.LOOKING
-        self._sent = None
+        self._sent, self._polls = None, 0
+        self._unread.clear()
         return Learnt(warnings=[f"the setpoint is not carried by the block: {reason}"] if had else [])
 
     def with_setpoint(self, read: Request) -> Request:
@@ -147,13 +144,13 @@ class Control:
         """Take what a register reads back."""
         learnt = Learnt(read.values([word]))
         register = read.registers[0]
-        if self.setpoint is None:
+        if self.setpoint is None or self._stage is Stage.TRIAL:  # asked for before: it says nothing of the trial
             return learnt
         if self._stage is Stage.LOOKING:
             is_right, follows = word & register.mask == 0, Stage.TRIAL
         else:
             self._unread.discard(register.name)
-            is_right = self._sent is None or self._sent.is_held(register, word)
+            is_right = self._sent is not None and self._sent.is_held(register, word)
             follows = self._stage if self._unread else Stage.PROVEN
         if not is_right:
             learnt.warnings += self.end(f"{register.name} reads {word:04X}H").warnings

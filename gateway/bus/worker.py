@@ -150,11 +150,13 @@ class LineWorker:
         except (NoReply, BadReply) as error:
             self._unanswered(station, job, error, started)
         except Refused as refused:
-            self._refused(station, job, refused, started)
+            self._refused(station, job, request, refused, started)
         else:
             self._answered(station, job, answered)
 
-    def _refused(self, station: _Station, job: Job[Work], refused: Refused, started: float) -> None:
+    def _refused(
+        self, station: _Station, job: Job[Work], sent: Request, refused: Refused, started: float
+    ) -> None:
         """Take a refusal; one for a wrong checksum says that the request was damaged on its way."""
         frames.debug("rx %s refused: %s", job.drive, refused)
         if refused.reason is Refusal.CHECKSUM:
@@ -164,7 +166,7 @@ class LineWorker:
         station.stats.refusals += 1
         self._stats.errors["refused"] += 1
         self._heard(station, now)
-        self._learn(station, job, station.reader.on_refused(job.work, refused, now))
+        self._learn(station, job, station.reader.on_refused(job.work, sent, refused, now))
         if station.link.state.is_connected:
             self._trip(station, refused.is_tripped, now)
 

@@ -15,8 +15,8 @@ TRIPPED = "tripped"
 RESET_NEEDED = "reset_needed"
 
 # Levels below a drive that are no values: what is published besides, and what is taken for control and description.
-RESERVED = frozenset({AVAILABILITY, STATE, TRIPPED, RESET_NEEDED})
-RESERVED |= frozenset({"set", "command", "heartbeat", "result", "event", "description"})
+PUBLISHED = frozenset({AVAILABILITY, STATE, TRIPPED, RESET_NEEDED})
+RESERVED = PUBLISHED | {"set", "command", "heartbeat", "result", "event", "description"}
 
 
 @dataclass(frozen=True, slots=True)

@@ -109,6 +109,42 @@ def test_selectors_that_are_not_in_force_are_found_out_harmlessly(protocol: str,
 
 
 @pytest.mark.parametrize("protocol", BLOCKS)
+@pytest.mark.parametrize("in_force", [[3, 1], [2, 3]])
+def test_setpoints_in_quick_succession_do_not_pass_by_the_proof(protocol: str, in_force: list[int]) -> None:
+    """What was read back before the harmless words were sent proves nothing of them."""
+
+    async def play(stage: Bench) -> None:
+        stage.drive.set_by_panel("block_write_1", 1)
+        stage.drive.set_by_panel("block_write_2", 3)
+        await asyncio.sleep(3.0)
+        control(stage, THIRTY)
+        control(stage, THIRTY | {"frequency_command": 2999})
+        for _ in range(100):
+            await asyncio.sleep(0.02)
+            assert word(stage, "command") in (0, 1, 2)
+            assert word(stage, "frequency_command") in (0, 1, 2)
+        assert not stage.drive.inverter.condition.is_tripped
+
+    run(lambda: one(protocol, in_force), play)
+
+
+@pytest.mark.parametrize("protocol", BLOCKS)
+def test_setpoints_in_quick_succession_are_carried(protocol: str) -> None:
+    """A newer one takes the place of the older, also while the exchange is being proven."""
+
+    async def play(stage: Bench) -> None:
+        await asyncio.sleep(3.0)
+        for frequency in range(2000, 3001, 10):
+            control(stage, THIRTY | {"frequency_command": frequency})
+            await asyncio.sleep(0.05)
+        await asyncio.sleep(8.0)
+        assert is_carrying(stage)
+        assert hertz(stage) == 30.0
+
+    run(lambda: one(protocol, [1, 3]), play)
+
+
+@pytest.mark.parametrize("protocol", BLOCKS)
 def test_a_drive_that_is_commanded_already_is_not_tried_on(protocol: str) -> None:
     """FA00 is not 0: harmless words would not be harmless."""
 
