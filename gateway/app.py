@@ -13,6 +13,7 @@ from gateway import __version__, systemd
 from gateway.bus.serial_line import open_line
 from gateway.bus.worker import LineWorker, Opener
 from gateway.clock import Clock, SystemClock
+from gateway.control.door import Door
 from gateway.errors import GatewayError
 from gateway.image import Image, LinkState
 from gateway.metrics import DriveStats, LineStats, Stats
@@ -42,17 +43,34 @@ class App:
         self.stats.lines = {line.name: LineStats() for line in site.lines}
         self.stats.drives = {drive.name: DriveStats() for drive in site.drives}
         config = site.config
+        self.door = Door.of(site, self.clock)
         self.workers = [
             LineWorker(
-                line, self.image.by_name, self.stats.lines[line.name], self.stats.drives, self.clock, opener
+                line,
+                self.image.by_name,
+                self.stats.lines[line.name],
+                self.stats.drives,
+                self.clock,
+                opener,
+                self.door.controls,
             )
             for line in site.lines
         ]
+        rings = {
+            drive.name: worker.ring
+            for line, worker in zip(site.lines, self.workers, strict=True)
+            for drive in line.drives
+        }
+        self.door.connect(rings)
         self.bridge = (
-            Bridge(config.mqtt, config.gateway.name, self.image, self.stats.mqtt, self.clock) if config.mqtt else None
+            Bridge(config.mqtt, config.gateway.name, self.image, self.stats.mqtt, self.clock, door=self.door)
+            if config.mqtt
+            else None
         )
         self.modbus_tcp = (
-            ModbusTcpServer(config.modbus_tcp, self.image, self.stats, self.clock) if config.modbus_tcp else None
+            ModbusTcpServer(config.modbus_tcp, self.image, self.stats, self.clock, door=self.door)
+            if config.modbus_tcp
+            else None
         )
         self.web = WebServer(config.web, self.image, self.stats, site, self.clock) if config.web else None
         self._stop = asyncio.Event()

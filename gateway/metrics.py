@@ -88,6 +88,7 @@ class MqttStats:
     connects: int = 0
     published: int = 0
     dropped: int = 0
+    inbox_dropped: int = 0
     waiting: int = 0
 
 

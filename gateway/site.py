@@ -62,6 +62,12 @@ class Drive:
     derived: tuple[Derived, ...]
     deadband: Mapping[str, float]
     provision: bool = False
+    section: DriveSection | None = field(default=None, repr=False)
+
+    @property
+    def is_controlled(self) -> bool:
+        """Say whether somebody may command it."""
+        return self.section is not None and self.section.control != "off"
 
     @property
     def codec(self) -> Codec:
@@ -172,6 +178,7 @@ def _contradictions(table: Mapping[str, Any], models: Catalogue) -> list[str]:
             wrong.append(f"{label}.model: no model {drive.model!r}; known: {', '.join(sorted(models))}")
             continue
         wrong += _unknown_values(label, drive, models[drive.model])
+        wrong += _wrong_control(label, drive, models[drive.model])
     return wrong + list(_unknown_deadbands(table, models))
 
 
@@ -203,6 +210,26 @@ def _group_contradictions(once: dict[tuple[str, object], str], line: Mapping[str
                 yield f"{key}.drives: no drive {member!r} on this line; known: {known}"
             if members.count(member) > 1:
                 yield f"{key}.drives: {member!r} is named more than once"
+
+
+def _wrong_control(label: str, drive: DriveSection, model: Model) -> Iterator[str]:
+    """Find a control that nobody could use, that the model has no registers for, or that is not what it says."""
+    if drive.control == "off":
+        return
+    if "command" not in model.registers:
+        yield f"{label}.control: {model.name} has no register 'command' (FA00): add it in a catalogue file"
+    connector = model.connector()
+    roles = connector.parameters if connector else {}
+    asked = {
+        "timeout": ("communication_timeout", drive.communication_timeout),
+        "timeout_action": ("timeout_action", drive.timeout_action),
+        "timeout_detection": ("timeout_detection", drive.timeout_detection),
+    }
+    for role, (key, value) in asked.items():
+        if value is not None and roles.get(role) not in model.registers:
+            yield f"{label}.{key}: {model.name} has no such parameter in its catalogue"
+    if drive.on_loss == "quiesce" and drive.timeout_action in (None, "alarm"):
+        yield f'{label}.on_loss: "quiesce" leaves the stop to F804: set timeout_action to "stop" or "coast"'
 
 
 def _unknown_deadbands(table: Mapping[str, Any], models: Catalogue) -> Iterator[str]:
@@ -316,6 +343,7 @@ def _drive(line: str, section: DriveSection, model: Model, pace: _Pace) -> Drive
         derived=tuple(d for d in model.derived if d.of in points),
         deadband=section.deadband,
         provision=section.provision,
+        section=section,
     )
 
 

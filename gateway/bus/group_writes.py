@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from gateway.bus.groups import Reach, reach
 from gateway.bus.session import Outcome, Session, may_be_done, writing_time
-from gateway.bus.writes import PlannedWrite, Verdict, judge
+from gateway.control.writes import PlannedWrite, Verdict, judge
 from gateway.errors import BadReply, LineDown, NoReply, Refused
 from gateway.protocol.pdu import WriteRam, WriteStored
 from gateway.protocol.registry import PROTOCOLS

@@ -17,6 +17,7 @@ from gateway.bus.provision import RESET_MARK, Provision, selector_registers
 from gateway.bus.schedule import Job, spread
 from gateway.bus.setpoint import Control, Setpoint, selected
 from gateway.bus.work import Learnt, Task, Work
+from gateway.control.watchdog import control_registers
 from gateway.drives.register import Register
 from gateway.errors import Refusal, Refused
 from gateway.protocol.pdu import (
@@ -166,7 +167,7 @@ class DriveReader:
         model = self.drive.model
         names = (*IDENTITY_REGISTERS, *((BLOCK_MODE, RESET_MARK) if self._planner.has_block else ()))
         wanted = [model.registers[name] for name in names if name in model.registers]
-        wanted += [*self._selector_registers(), *self.drive.bases]
+        wanted += [*self._selector_registers(), *self.drive.bases, *control_registers(self.drive)]
         self._proof.propose(self.able.mapping, first=True)
         self.able = replace(self.able, mapping=None)
         self._missing = list({register.name: register for register in wanted}.values())

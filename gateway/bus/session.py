@@ -11,8 +11,8 @@ from gateway.bus.exchange import Exchanger
 from gateway.bus.line import Line
 from gateway.bus.serial_line import open_line
 from gateway.bus.worker import LATE_AT_MOST, SETTLE, Opener
-from gateway.bus.writes import PlannedWrite, Verdict, judge
 from gateway.clock import Clock
+from gateway.control.writes import PlannedWrite, Verdict, judge
 from gateway.drives.notation import label
 from gateway.drives.register import Register
 from gateway.errors import BadReply, LineDown, NoReply, Refusal, Refused

@@ -15,10 +15,12 @@ from gateway.bus.schedule import AHEAD, Job, NotBefore, Schedule, Send
 from gateway.bus.setpoint import Setpoint
 from gateway.bus.work import Learnt, Task, Work
 from gateway.clock import Clock
+from gateway.control.drive_control import DriveControl
+from gateway.control.execution import Execution
 from gateway.errors import BadReply, LineDown, NoReply, Refusal, Refused
 from gateway.image import DriveImage, LinkState
 from gateway.metrics import DriveStats, LineStats
-from gateway.protocol.pdu import Request, WriteStored
+from gateway.protocol.pdu import ReadWords, Request, Words, WriteStored
 
 log = logging.getLogger("gateway.bus")
 frames = logging.getLogger("gateway.bus.frames")
@@ -66,13 +68,18 @@ class LineWorker:
         drive_stats: Mapping[str, DriveStats],
         clock: Clock,
         opener: Opener,
+        controls: Mapping[str, DriveControl] | None = None,
     ) -> None:
         self._line = line
+        self._controls = {
+            drive.name: controls[drive.name] for drive in line.drives if controls and drive.name in controls
+        }
         self._stats = stats
         self._clock = clock
         self._opener = opener
         self._alarm = clock.alarm()
         self._schedule: Schedule[Work] = Schedule(line.silent_share, line.probe_every, line.probe_at_most)
+        self._last_served = ""
         self._stations: dict[str, _Station] = {}
         for index, drive in enumerate(line.drives):
             processing = drive.model.times.processing + drive.wait_time
@@ -107,6 +114,7 @@ class LineWorker:
             station.reader.forget()
             station.trip_signs.clear()
             station.image.set_link(station.link.hear(Heard.LINE_LOST), reason)
+            self._tell_control(station, reason)
 
     async def _serve(self) -> None:
         port = await self._opener(self._line, self._clock)
@@ -129,13 +137,85 @@ class LineWorker:
     async def _step(self, exchanger: Exchanger) -> None:
         """Do the next thing: an exchange, or waiting for the next one's time."""
         now = self._clock.now()
+        wake = self._look_at_controls(now)
+        if (errand := self._errand(now)) is not None:
+            await self._carry(exchanger, *errand)
+            return
         match self._schedule.next(now):
             case Send(job):
                 await self._exchange(exchanger, job)
             case NotBefore(when):
-                await self._alarm.wait_until(when)
+                await self._alarm.wait_until(min(when, wake))
             case None:
-                await self._alarm.wait_until(now + IDLE_WAIT)
+                await self._alarm.wait_until(min(now + IDLE_WAIT, wake))
+
+    # ---- commands
+
+    def ring(self) -> None:
+        """Look again at what is to be done: a command has come."""
+        self._alarm.ring()
+
+    def _look_at_controls(self, now: float) -> float:
+        """Let every control see the time; return when the next one has to."""
+        for name, control in self._controls.items():
+            was_quiet = control.is_quiet
+            control.tick(now)
+            if control.is_quiet and not was_quiet:
+                self._leave_alone(self._stations[name], control)
+        return min((control.next_time() for control in self._controls.values()), default=float("inf"))
+
+    def _leave_alone(self, station: _Station, control: DriveControl) -> None:
+        """Send a drive nothing, not even a read, until its own F803 has surely acted; then begin anew with it."""
+        station.reader.forget()
+        self._schedule.probe(station.drive.name, station.reader.identify(), control.next_time())
+        self._hear_lost(station, f"left alone: {control.reason}")
+
+    def _hear_lost(self, station: _Station, reason: str) -> None:
+        station.link = Link(LinkState.OFFLINE)
+        station.image.set_link(LinkState.OFFLINE, reason)
+
+    def _errand(self, now: float) -> tuple[_Station, DriveControl, Execution, Request] | None:
+        """Return the next frame of a command: stops first, then drive after drive in turn."""
+        waiting = [(name, control) for name, control in self._controls.items() if control.has_waiting]
+        for name, control in sorted(waiting, key=lambda item: (not item[1].is_urgent, item[0] == self._last_served)):
+            found = control.next(now)
+            if found is not None:
+                self._last_served = name
+                return (self._stations[name], control, *found)
+        return None
+
+    async def _carry(
+        self, exchanger: Exchanger, station: _Station, control: DriveControl, execution: Execution, request: Request
+    ) -> None:
+        """Carry out one frame of a command."""
+        control.sending(execution)
+        station.stats.exchanges += 1
+        try:
+            answered = await exchanger.exchange(station.drive.codec, request, station.processing_of(request))
+        except (NoReply, BadReply) as error:
+            self._stats.errors["no_reply" if isinstance(error, NoReply) else "bad_reply"] += 1
+            self._hear(station, Heard.SILENCE, str(error))
+            control.on_silence(execution, str(error))
+        except Refused as refused:
+            self._stats.errors["refused"] += 1
+            self._heard(station, self._clock.now())
+            self._trip(station, refused.is_tripped, self._clock.now())
+            control.on_refused(execution, refused)
+        else:
+            self._heard(station, answered.done)
+            if answered.reply is not None:
+                self._trip(station, answered.reply.is_tripped, answered.done)
+                self._show(station, request, answered)
+            control.on_reply(execution, answered.reply)
+        for address in execution.wore:
+            station.stats.eeprom_writes[address] += 1
+        execution.wore.clear()
+
+    def _show(self, station: _Station, request: Request, answered: Answered) -> None:
+        """Let a value that was read back be seen at once."""
+        if isinstance(request, ReadWords) and isinstance(answered.reply, Words):
+            pairs = enumerate(answered.reply.words, request.address)
+            station.image.apply(list(pairs), answered.done, self._clock.wall())
 
     async def _exchange(self, exchanger: Exchanger, job: Job[Work]) -> None:
         """Carry out one exchange; whatever comes of it is finished here and nowhere else."""
@@ -192,6 +272,8 @@ class LineWorker:
         elif station.image.is_tripped is not None:
             log.info("%s is no longer tripped", station.drive.name)
         station.image.set_tripped(is_tripped)
+        if (control := self._controls.get(station.drive.name)) is not None:
+            control.on_trip(is_tripped)
         if station.reader.is_set_up:
             self._add(station.drive.name, station.reader.on_trip(), now)
 
@@ -284,6 +366,16 @@ class LineWorker:
             level = logging.WARNING if is_trouble else logging.INFO
             log.log(level, "%s is %s%s", station.drive.name, state.word, f": {reason}" if reason else "")
         station.image.set_link(state, reason)
+        self._tell_control(station, reason)
+
+    def _tell_control(self, station: _Station, reason: str) -> None:
+        """Let the drive's control know whether it may be commanded, and how it is set."""
+        control = self._controls.get(station.drive.name)
+        if control is not None:
+            is_online = station.link.state.is_connected and station.reader.is_set_up
+            if is_online and not control.is_online:
+                control.facts = dict(station.reader.facts)
+            control.on_link(is_online=is_online, reason=reason, now=self._clock.now())
 
     def _unanswered(self, station: _Station, job: Job[Work], error: NoReply | BadReply, started: float) -> None:
         """Count silence or garbage, and decide how the drive is tried next.

@@ -12,12 +12,12 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 from gateway.bus.session import Session, opened
-from gateway.bus.writes import Allowed, BadCommand, Why
 from gateway.clock import SystemClock
 from gateway.commissioning import display, models, proportional, reading, scanning, writing
 from gateway.commissioning.breaking_off import BrokenOff, carry_out
 from gateway.commissioning.options import for_target
 from gateway.commissioning.targets import Chosen, Target, target_of
+from gateway.control.writes import Allowed, BadCommand, Why
 from gateway.drives import panel
 from gateway.drives.notation import NotUnderstood, label
 from gateway.drives.panel import CannotShow

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gateway.bus.session import Outcome, Session, processing_time
-from gateway.bus.writes import Allowed, BadCommand, PlannedWrite, Verdict, Why, plan_write
 from gateway.commissioning.breaking_off import to_the_end
+from gateway.control.writes import Allowed, BadCommand, PlannedWrite, Verdict, Why, plan_write
 from gateway.drives import panel
 from gateway.drives.notation import label
 from gateway.drives.panel import Number

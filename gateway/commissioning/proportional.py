@@ -8,7 +8,7 @@ from decimal import Decimal, InvalidOperation
 
 from gateway.bus.groups import MODBUS, Reach, reach
 from gateway.bus.session import Session, processing_time
-from gateway.bus.writes import BadCommand, Verdict, Why
+from gateway.control.writes import BadCommand, Verdict, Why
 from gateway.drives import proportional
 from gateway.drives.register import Register
 from gateway.errors import BadConfig, BadReply, LineDown, NoReply, Refused

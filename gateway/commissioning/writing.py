@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from gateway.bus.group_writes import Writes, write_together
 from gateway.bus.session import Outcome, Session
-from gateway.bus.writes import Allowed, PlannedWrite, Verdict, check_access, limited_by, plan_write
 from gateway.commissioning import models
 from gateway.commissioning.reading import in_words
 from gateway.commissioning.targets import Target
+from gateway.control.writes import Allowed, PlannedWrite, Verdict, check_access, limited_by, plan_write
 from gateway.drives.notation import NotUnderstood, found, label, raw_word_of, word_of
 from gateway.drives.register import Register
 from gateway.errors import BadReply, LineDown, NoReply, Refused

@@ -6,11 +6,14 @@ import asyncio
 import contextlib
 import logging
 import socket
+from collections.abc import Mapping
 from typing import cast
 
 from gateway.clock import Clock
+from gateway.control.command import Channel, Source
 from gateway.metrics import TcpStats
-from gateway.modbus_tcp.responder import GO_ON, READ_ON, Responder
+from gateway.modbus_tcp.responder import GO_ON, READ_ON, Later, Responder, Write
+from gateway.modbus_tcp.writing import DriveWriter, MirrorWriter
 
 log = logging.getLogger("gateway.modbus_tcp")
 
@@ -58,7 +61,16 @@ class Places:
 class Connection(asyncio.Protocol):
     """One client. Its requests are answered in turns, so that it cannot keep the loop from the lines."""
 
-    def __init__(self, responder: Responder, clock: Clock, places: Places) -> None:
+    def __init__(
+        self,
+        responder: Responder,
+        clock: Clock,
+        places: Places,
+        writers: Mapping[int, DriveWriter | MirrorWriter] | None = None,
+    ) -> None:
+        self._writers = writers or {}
+        self._source = Source(Channel.MODBUS_TCP)
+        self._owed = 0  # answers of writes that are still to come
         self._respond = responder.respond
         self._answer_again = responder.answer_again
         self._now = clock.now
@@ -78,6 +90,8 @@ class Connection(asyncio.Protocol):
             self._transport.abort()
             return
         self._transport.set_write_buffer_limits(high=WRITE_BUFFER)
+        peer = self._transport.get_extra_info("peername")
+        self._source = Source(Channel.MODBUS_TCP, str(peer[0]) if peer else "")
         _keep_alive(self._transport.get_extra_info("socket"))
 
     def data_received(self, data: bytes) -> None:
@@ -97,11 +111,16 @@ class Connection(asyncio.Protocol):
     def _take_turn(self) -> None:
         """Answer some requests in one write."""
         now = self._now()
-        answers, used, then = self._respond(self._data, self._at, IN_FLIGHT, now)
-        if answers:
+        room = IN_FLIGHT - self._owed
+        answers, used, then = self._respond(self._data, self._at, room, now, self._writer, self._put)
+        if used > self._at:
             self._heard_at = now
             self._at = used
+        if answers:
             self._transport.write(answers)
+        if self._owed >= IN_FLIGHT:
+            self._wait()
+            return
         if then is READ_ON:
             if used == len(self._data):
                 self._data, self._at = b"", 0
@@ -111,6 +130,28 @@ class Connection(asyncio.Protocol):
             self._queue_up()
         else:
             self._close("what it sends is no MODBUS-TCP")
+
+    def _writer(self, unit: int) -> Write | None:
+        """Say who carries out the writes of a unit."""
+        writer = self._writers.get(unit)
+        if writer is None:
+            return None
+
+        def write(pdu: bytes, later: Later) -> None:
+            self._owed += 1
+            writer.write(pdu, self._source, later)
+
+        return write
+
+    def _put(self, answer: bytes) -> None:
+        """Send the answer of a write that has been carried out, and go on reading where that had to wait."""
+        was_full = self._owed >= IN_FLIGHT
+        self._owed -= 1
+        if self._transport.is_closing():
+            return
+        self._transport.write(answer)
+        if was_full:
+            asyncio.get_running_loop().call_soon(self._go_on)
 
     def _read_on(self) -> None:
         """Read again, or close behind a client that has sent its last; not before it has read its answers."""
@@ -150,7 +191,7 @@ class Connection(asyncio.Protocol):
     def eof_received(self) -> bool:
         """Stay open while a client that sends no more is still owed answers."""
         self._has_ended = True
-        return self._is_waiting
+        return self._is_waiting or self._owed > 0
 
     def overdue(self, now: float, idle_timeout: float) -> str | None:
         """Say why the time of this connection is over; None while it is not."""

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping
-from enum import Enum, IntEnum
+from enum import Enum
 from typing import Protocol
 
 from gateway.image import LinkState, Missing
 from gateway.metrics import TcpStats
+from gateway.modbus_tcp.codes import CODE_FOR, ExceptionCode
 
 # MODBUS Messaging on TCP/IP Implementation Guide V1.0b, 3.1.3: transaction, protocol, length, unit; then the PDU.
 TRANSACTION = 2  # bytes
@@ -23,26 +24,10 @@ READ_END = 12  # bytes of such a request, from transaction to count
 READ_HOLDING_REGISTERS = 0x03
 READ_INPUT_REGISTERS = 0x04
 ENCAPSULATED_INTERFACE = 0x2B
+FUNCTIONS = frozenset((0x06, 0x10, 0x17))  # that write
 IS_EXCEPTION = 0x80
 MOST_REGISTERS = 125  # MODBUS Application Protocol V1.1b3, 6.3
 KNOWN_AT_MOST = 1024  # requests; a client that asks for everything does not fill the memory
-
-
-class ExceptionCode(IntEnum):
-    """MODBUS Application Protocol V1.1b3, 7, as far as this gateway uses them."""
-
-    ILLEGAL_FUNCTION = 0x01
-    ILLEGAL_DATA_ADDRESS = 0x02
-    ILLEGAL_DATA_VALUE = 0x03
-    GATEWAY_PATH_UNAVAILABLE = 0x0A
-    GATEWAY_TARGET_FAILED_TO_RESPOND = 0x0B
-
-
-CODE_FOR = {
-    Missing.UNMAPPED: ExceptionCode.ILLEGAL_DATA_ADDRESS,
-    Missing.NOT_FRESH: ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND,
-    Missing.LINE_DOWN: ExceptionCode.GATEWAY_PATH_UNAVAILABLE,
-}
 
 
 class Unit(Protocol):
@@ -67,6 +52,18 @@ Read = Callable[[int, int, float], bytes | Missing]
 Known = tuple[Read, int, int, bytes]
 """A request to read that was answered before: who reads, start, count, and the answer up to its words."""
 
+Later = Callable[[bytes | ExceptionCode], None]
+"""Takes the answer PDU of a write, or the exception, when the drive has answered."""
+
+Write = Callable[[bytes, Later], None]
+"""Takes a request PDU that writes, and what is to be told its answer."""
+
+Begin = Callable[[int], Write | None]
+"""Says who carries out the writes of a unit; None where nobody does: illegal function."""
+
+Put = Callable[[bytes], None]
+"""Sends an answer, with its transaction id, when it is there."""
+
 Identify = Callable[[bytes, Mapping[str, str]], bytes | ExceptionCode]
 """Answers a request PDU of function 43 from an identity: the PDU of the answer, or the exception."""
 
@@ -82,6 +79,11 @@ class Then(Enum):
 READ_ON, GO_ON, CLOSE = Then  # a look-up through the class would cost a tenth of the whole answer
 Turn = tuple[bytes, int, Then]
 """The answers, the offset up to which the bytes are used, and what to do next."""
+
+
+def _nobody(_unit: int) -> Write | None:
+    """Carry out nothing: this server only reads."""
+    return None
 
 
 class Responder:
@@ -109,8 +111,13 @@ class Responder:
         self._requests[head[UNIT_AT + 1]] += 1
         return data[:TRANSACTION] + head + words
 
-    def respond(self, data: bytes, at: int, limit: int, now: float) -> Turn:
-        """Answer the whole requests that stand in `data` from `at`, `limit` of them at most, in their order."""
+    def respond(
+        self, data: bytes, at: int, limit: int, now: float, begin: Begin = _nobody, put: Put | None = None
+    ) -> Turn:
+        """Answer the whole requests that stand in `data` from `at`, `limit` of them at most, in their order.
+
+        A write is handed to whom `begin` names, and answered by `put` later on.
+        """
         answers: list[bytes] = []
         size = len(data)
         while len(answers) < limit and size - at >= HEAD_END:
@@ -121,10 +128,29 @@ class Responder:
             end = at + HEAD_END + length
             if end > size:
                 break
-            answers.append(data[at:behind] + self._answer(data[behind:end], now))
+            frame = data[behind:end]
+            write = begin(frame[UNIT_AT]) if frame[UNIT_AT + 1] in FUNCTIONS and put is not None else None
+            if write is not None and put is not None:
+                self._begin(write, data[at:behind], frame, put)
+                answers.append(b"")
+            else:
+                answers.append(data[at:behind] + self._answer(frame, now))
             at = end
         then = GO_ON if len(answers) == limit and at < size else READ_ON
         return b"".join(answers), at, then
+
+    def _begin(self, write: Write, transaction: bytes, frame: bytes, put: Put) -> None:
+        """Hand a write on; its answer carries its own transaction id, in the order of completion."""
+        unit, function = frame[UNIT_AT], frame[UNIT_AT + 1]
+
+        def later(told: bytes | ExceptionCode) -> None:
+            if isinstance(told, ExceptionCode):
+                put(transaction + self._refuse(unit, function, told))
+                return
+            self._requests[function] += 1
+            put(transaction + HEAD.pack(0, 1 + len(told)) + bytes([unit]) + told)
+
+        write(frame[UNIT_AT + 1 :], later)
 
     def _answer(self, frame: bytes, now: float) -> bytes:
         """Answer a frame, from its protocol id on."""

@@ -12,11 +12,14 @@ from pymodbus.pdu.mei_message import ReadDeviceInformationRequest, ReadDeviceInf
 from gateway import __version__
 from gateway.clock import Clock
 from gateway.config import ModbusTcpSection, address
-from gateway.image import Image
+from gateway.control.door import Door
+from gateway.image import Image, LinkState
 from gateway.metrics import Stats
+from gateway.modbus_tcp.codes import ExceptionCode
 from gateway.modbus_tcp.connection import Connection, Places
 from gateway.modbus_tcp.gateway_unit import UNIT, GatewayUnit
-from gateway.modbus_tcp.responder import ExceptionCode, Responder
+from gateway.modbus_tcp.responder import Responder, Unit
+from gateway.modbus_tcp.writing import DriveWriter, MirrorWriter
 from gateway.ports import explain_bind_error
 
 log = logging.getLogger("gateway.modbus_tcp")
@@ -41,12 +44,24 @@ class ModbusTcpServer:
         stats: Stats,
         clock: Clock,
         identity: Mapping[str, str] = IDENTITY,
+        door: Door | None = None,
     ) -> None:
         self._section = section
         self._clock = clock
         self._places = Places(section.connections, stats.tcp)
         gateway_unit = GatewayUnit(image, stats, identity, clock.now())
-        self._responder = Responder({**image.by_unit, UNIT: gateway_unit}, identify, stats.tcp)
+        units: dict[int, Unit] = {**image.by_unit, UNIT: gateway_unit}
+        self._writers: dict[int, DriveWriter | MirrorWriter] = {}
+        if door is not None and door.controls:
+            mirror = MirrorWriter(tuple(drive.drive for drive in image.drives), door, gateway_unit.read)
+            units[UNIT] = Mirrored(gateway_unit, mirror)
+            self._writers = {
+                drive.drive.unit: DriveWriter(drive.drive, door, drive.read)
+                for drive in image.drives
+                if drive.drive.name in door.controls
+            }
+            self._writers[UNIT] = mirror
+        self._responder = Responder(units, identify, stats.tcp)
         self._server: asyncio.Server | None = None
         self._next_sweep: asyncio.TimerHandle | None = None
 
@@ -69,7 +84,7 @@ class ModbusTcpServer:
         return int(self._server.sockets[0].getsockname()[1])
 
     def _connection(self) -> Connection:
-        return Connection(self._responder, self._clock, self._places)
+        return Connection(self._responder, self._clock, self._places, self._writers)
 
     def _sweep_again(self) -> None:
         self.sweep()
@@ -95,6 +110,16 @@ class ModbusTcpServer:
         await self._places.all_free.wait()
         await self._server.wait_closed()
         self._server = None
+
+
+class Mirrored:
+    """The gateway's own unit with the command mirror in it."""
+
+    link = LinkState.ONLINE
+
+    def __init__(self, unit: GatewayUnit, mirror: MirrorWriter) -> None:
+        self.identity = unit.identity
+        self.read = mirror.read
 
 
 def identify(pdu: bytes, identity: Mapping[str, str]) -> bytes | ExceptionCode:

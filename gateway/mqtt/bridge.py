@@ -16,21 +16,26 @@ from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
+from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from gateway.clock import Clock
 from gateway.config import MqttSection
+from gateway.control.command import Command, Result
+from gateway.control.door import Door
 from gateway.errors import BadConfig
 from gateway.image import DriveImage, Image
 from gateway.metrics import MqttStats
-from gateway.mqtt import access, payload, reasons, topics
+from gateway.mqtt import access, commands, payload, reasons, topics
 from gateway.mqtt.backoff import Backoff
-from gateway.mqtt.connection import LEAVE_LIMIT, BrokerAway, Connection, LastError, Made, close
+from gateway.mqtt.connection import LEAVE_LIMIT, BrokerAway, Connection, Heard, LastError, Made, close
 from gateway.mqtt.publisher import Publisher
 
 log = logging.getLogger("gateway.mqtt")
 
 CONNECT_LIMIT = 5.0  # seconds, for TCP and for the TLS handshake each
 TEND_EVERY = 1.0  # seconds between looks at the keep-alive
+GOOD_FOR = 1.0  # seconds of a command for a drive that nobody may command
+EVENT_EXPIRY = 60  # seconds after which the broker may forget a result or an event
 STEPS = 4  # owed values sent at a stretch: some 0.2 ms, so that a line's timing does not suffer
 LARGEST_PACKET = 64 * 1024  # bytes that the broker may send us in one packet
 RECEIVE_MAXIMUM = 20  # messages of QoS 1 and 2 that may be under way to us
@@ -52,6 +57,7 @@ class Bridge:
         stats: MqttStats,
         clock: Clock,
         chance: random.Random | None = None,
+        door: Door | None = None,
     ) -> None:
         access.read(section)  # what is missing or wrong now is better known before anything starts
         self._section = section
@@ -63,7 +69,12 @@ class Bridge:
         self._connection: Connection | None = None
         self._in_flight = IN_FLIGHT
         self._told = ""
+        self._root = f"{section.base}/{gateway}/"
+        self._door = door if door is not None and door.controls else None
         image.subscribe(self._on_change)
+        if self._door is not None:
+            self._door.on_result(self._on_result)
+            self._door.on_event(self._on_event)
 
     async def run(self) -> None:
         """Connect, publish and connect again until cancelled; whatever else ends it is an error of ours."""
@@ -118,6 +129,53 @@ class Bridge:
         self._stats.connects += 1
         self._publisher.owe_everything()
         self._connection = connection
+        if self._door is not None:
+            connection.listen(_subscriptions(self._root, self._section.version), self._on_heard)
+
+    # What controllers send.
+
+    def _on_heard(self, heard: Heard) -> None:
+        """Take one message: a command goes to the door, and so does a heartbeat."""
+        door = self._door
+        if door is None or not heard.topic.startswith(self._root):
+            return
+        message = commands.Message(
+            tuple(heard.topic.removeprefix(self._root).split("/")), heard.payload, heard.is_retained, heard.expiry
+        )
+        control = door.controls.get(message.levels[0])
+        good_for = control.settings.command_timeout if control is not None else GOOD_FOR
+        read = commands.read(message, commands.Moment(self._clock.now(), self._clock.wall(), good_for))
+        match read:
+            case commands.Beat(drive, source, beat):
+                door.beat(drive, source, beat)
+            case Command():
+                door.submit(read, lambda result: self._respond(heard, result))
+            case Result():
+                door.tell_result(read)
+                self._respond(heard, read)
+
+    def _respond(self, heard: Heard, result: Result) -> None:
+        """Answer to the one who asked, where the message names a topic for it (MQTT 5)."""
+        connection = self._connection
+        if connection is None or not heard.response_topic:
+            return
+        properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+        if heard.correlation:
+            properties.CorrelationData = heard.correlation
+        connection.reply(heard.response_topic, commands.result(result, self._clock.wall()), properties)
+        connection.wake()
+
+    def _on_result(self, result: Result) -> None:
+        self._say(f"{result.command.drive}/{commands.RESULT}", commands.result(result, self._clock.wall()))
+
+    def _on_event(self, drive: str, event: str, reason: str) -> None:
+        self._say(f"{drive}/{commands.EVENT}", commands.event(event, reason, self._clock.wall()))
+
+    def _say(self, topic: str, text: str) -> None:
+        """Publish something that happened: never retained, and lost while the broker is away."""
+        if self._connection is not None:
+            self._connection.send(self._root + topic, text, retain=False, expiry=EVENT_EXPIRY)
+            self._connection.flush()
 
     async def _serve(self, connection: Connection) -> None:
         """Send what is owed, a little at a time, and keep the connection alive until it is lost."""
@@ -196,6 +254,15 @@ def _make_client(section: MqttSection, gateway: str, reach: access.Access) -> tu
     errors = LastError()
     client.enable_logger(errors)
     return client, errors
+
+
+def _subscriptions(root: str, version: str) -> Any:
+    """Return what is subscribed; MQTT 5 can ask for no retained messages (SAFETY.md H01)."""
+    filters = [f"{root}+/{commands.SET}/+", f"{root}+/{commands.COMMAND}", f"{root}+/{commands.HEARTBEAT}"]
+    if version == "5":
+        options = SubscribeOptions(qos=1, noLocal=True, retainHandling=SubscribeOptions.RETAIN_DO_NOT_SEND)
+        return [(topic, options) for topic in filters]
+    return [(topic, 1) for topic in filters]
 
 
 def _connect_properties() -> Properties:

@@ -27,7 +27,16 @@ ANSWER_LIMIT = 10.0  # seconds from CONNECT to CONNACK
 LEAVE_LIMIT = 2.0  # seconds from the last words to the end
 LARGEST_OVERHEAD = 32  # bytes of a PUBLISH beside topic and payload
 NO_RECEIVE_MAXIMUM = 65_535  # messages of QoS 1 and 2 under way (MQTT 5 3.2.2.3.3)
+INBOX = 256  # messages of the broker that may wait to be looked at
 PACKET_IDS = 60_000  # messages of QoS 1 and 2 that can be told apart, with a margin
+CALLBACKS = (
+    "on_connect",
+    "on_disconnect",
+    "on_publish",
+    "on_message",
+    "on_socket_close",
+    "on_socket_register_write",
+)
 TCP_CORK = getattr(socket, "TCP_CORK", None)  # Linux
 LOSSES = {  # what paho's names for the end of a connection mean
     "Unspecified error": "closed by the broker; if that repeats, another client may have the same client id",
@@ -65,6 +74,18 @@ class Made:
     expiry: Callable[[int], Any]
 
 
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A message of the broker as it came."""
+
+    topic: str
+    payload: bytes
+    is_retained: bool
+    expiry: int | None
+    response_topic: str
+    correlation: bytes
+
+
 class Connection:
     """One connection by a paho client that is thrown away with it, so that nothing of an old one is sent late.
 
@@ -87,6 +108,8 @@ class Connection:
         self._unwritten = 0
         self._largest: int | None = None
         self._was_refused = False
+        self._inbox: deque[Heard] = deque(maxlen=INBOX)
+        self._hear: Callable[[Heard], None] | None = None
         self._news = asyncio.Event()
         self._wanted_room = 0
         self._error: Exception | None = None
@@ -101,6 +124,7 @@ class Connection:
         client.on_disconnect = self._on_disconnect
         client.on_socket_close = self._on_socket_close
         client.on_socket_register_write = _do_nothing  # it keeps paho from writing message by message
+        client.on_message = self._on_message
         if self._qos:
             client.on_publish = self._on_publish
         sock = client.socket()
@@ -130,6 +154,22 @@ class Connection:
             self._was_refused = True
             log.warning("the broker refuses messages: %s", reasons.of_code(code.value, code.getName()))
 
+    def _on_message(self, _client: Any, _data: Any, message: Any) -> None:
+        """Take note of a message; of a flood the oldest are forgotten, which only the latest could matter against."""
+        if len(self._inbox) == INBOX:
+            self._stats.inbox_dropped += 1
+        known = getattr(message, "properties", None)
+        self._inbox.append(
+            Heard(
+                topic=message.topic,
+                payload=bytes(message.payload),
+                is_retained=bool(message.retain),
+                expiry=getattr(known, "MessageExpiryInterval", None),
+                response_topic=getattr(known, "ResponseTopic", ""),
+                correlation=getattr(known, "CorrelationData", b""),
+            )
+        )
+
     def _on_socket_close(self, _client: Any, _data: Any, _sock: Any) -> None:
         self._detach()
 
@@ -147,9 +187,23 @@ class Connection:
             self._client.loop_read()
             while self._has_pending():
                 self._client.loop_read()
+            self._hand_over()
             self.flush()
         except Exception as error:
             self.fail(error)
+
+    def _hand_over(self) -> None:
+        """Hand on what has come, outside of paho's lock."""
+        while self._inbox:
+            heard = self._inbox.popleft()
+            if self._hear is not None:
+                self._hear(heard)
+
+    def listen(self, subscriptions: Any, hear: Callable[[Heard], None]) -> None:
+        """Subscribe, and hand every message that comes to `hear`."""
+        self._hear = hear
+        self._client.subscribe(subscriptions)
+        self.flush()
 
     def _has_pending(self) -> bool:
         """Say whether TLS holds bytes that it has read already, of which the socket tells nothing."""
@@ -221,6 +275,12 @@ class Connection:
         self._unwritten += 1
         self._stats.published += 1
 
+    def reply(self, topic: str, text: str, properties: Any) -> None:
+        """Hand an answer to paho, with properties of its own; `flush` writes it."""
+        self._on_their_way.append(self._client.publish(topic, text, self._qos, False, properties))
+        self._unwritten += 1
+        self._stats.published += 1
+
     def _expiry(self, seconds: int) -> Any:
         if seconds not in self._expiries:
             self._expiries[seconds] = self._make_expiry(seconds)
@@ -271,7 +331,7 @@ class Connection:
     def abort(self) -> None:
         """Let go of the socket; where nobody has disconnected in order, the broker sends the will."""
         self._detach()
-        for name in ("on_connect", "on_disconnect", "on_publish", "on_socket_close", "on_socket_register_write"):
+        for name in CALLBACKS:
             setattr(self._client, name, None)
         close(self._client)
 

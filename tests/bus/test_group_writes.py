@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from gateway.bus.group_writes import GroupOutcome, write_together
-from gateway.bus.writes import Allowed, Verdict, plan_write
+from gateway.control.writes import Allowed, Verdict, plan_write
 from gateway.drives.notation import word_of
 from gateway.errors import LineDown
 from gateway.protocol.pdu import EVERY_DRIVE, Group, WriteRam

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from gateway.bus.session import READ_TRIES
-from gateway.bus.writes import Allowed, PlannedWrite, Verdict, plan_write
+from gateway.control.writes import Allowed, PlannedWrite, Verdict, plan_write
 from gateway.drives.notation import word_of
 from gateway.errors import BadReply, LineDown, NoReply, Refused
 from gateway.sim.faults import Kind

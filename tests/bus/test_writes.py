@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.bus.writes import (
+from gateway.control.writes import (
     NOTHING,
     Allowed,
     BadCommand,

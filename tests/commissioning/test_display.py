@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from gateway.bus.writes import NOTHING, Allowed, BadCommand, Verdict, Why
 from gateway.commissioning import display
+from gateway.control.writes import NOTHING, Allowed, BadCommand, Verdict, Why
 from gateway.drives import panel
 from gateway.drives.panel import CannotShow
 from gateway.errors import GatewayError, Refusal, Refused

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from gateway.bus.writes import BadCommand, Verdict, Why
 from gateway.commissioning import proportional
 from gateway.commissioning.proportional import Followed, told
+from gateway.control.writes import BadCommand, Verdict, Why
 from gateway.drives.scaling import OutOfRange
 from gateway.errors import BadConfig, NoReply
 from gateway.sim.faults import Kind

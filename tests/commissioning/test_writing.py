@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from gateway.bus.writes import Allowed, BadCommand
 from gateway.commissioning.targets import Target
 from gateway.commissioning.writing import Wish, assignment, plan, write
+from gateway.control.writes import Allowed, BadCommand
 from gateway.drives.notation import NotUnderstood
 from gateway.errors import BadConfig, LineDown, NoReply
 from gateway.sim.faults import Kind

@@ -1,0 +1,1 @@
+"""The one door for every write: who may command a drive, what a command comes to, and what became of it."""

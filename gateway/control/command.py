@@ -1,0 +1,139 @@
+"""What a controller can ask for, and what becomes of it: one Command in, exactly one Result out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from decimal import Decimal
+from enum import StrEnum
+
+
+class Channel(StrEnum):
+    """The way a command came in; a drive's `sources` name those that may write to it."""
+
+    MQTT = "mqtt"
+    MODBUS_TCP = "modbus-tcp"
+    GATEWAY = "gateway"
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Who commands: a lease has one as its owner. `name` is what the controller calls itself, or its address."""
+
+    channel: Channel
+    name: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.channel} {self.name}".strip()
+
+
+GATEWAY = Source(Channel.GATEWAY)
+
+
+class Verb(StrEnum):
+    """What is asked for, by the names that payloads use."""
+
+    RUN = "run"
+    STOP = "stop"
+    COAST = "coast"
+    EMERGENCY_STOP = "emergency_stop"
+    RESET = "reset"
+    FREQUENCY = "frequency"
+    SPEED = "speed"
+    PRESET = "preset"
+    JOG = "jog"
+    ACCELERATION = "acceleration"
+    TERMINALS = "terminals"
+    ANALOG = "analog"
+    SET = "set"
+    WORDS = "words"
+    ARM = "arm"
+    TAKE = "take"
+    RELEASE = "release"
+
+    @property
+    def is_stopping(self) -> bool:
+        """Say whether it goes ahead of everything, from any source that may write (SAFETY.md H04, H29)."""
+        return self in (Verb.STOP, Verb.COAST, Verb.EMERGENCY_STOP)
+
+    @property
+    def is_about_permission(self) -> bool:
+        """Say whether it changes who may command, and sends no frame."""
+        return self in (Verb.ARM, Verb.TAKE, Verb.RELEASE)
+
+
+class Status(StrEnum):
+    """How a command ended. UNKNOWN: it was sent, and nobody can say whether it was done."""
+
+    DONE = "done"
+    REFUSED = "refused"
+    FAILED = "failed"
+    UNKNOWN = "unknown"
+
+
+class Reason(StrEnum):
+    """Why a command was refused or failed, in one word for programs."""
+
+    NONE = ""
+    MALFORMED = "malformed"
+    RETAINED = "retained"
+    EXPIRED = "expired"
+    UNKNOWN_DRIVE = "unknown_drive"
+    NOT_CONTROLLED = "not_controlled"
+    NOT_PERMITTED = "not_permitted"
+    NOT_OWNER = "not_owner"
+    NOT_ARMED = "not_armed"
+    NO_WATCHDOG = "no_watchdog"
+    OFFLINE = "offline"
+    QUIESCED = "quiesced"
+    RANGE = "range"
+    READ_ONLY = "read_only"
+    FORBIDDEN = "forbidden"
+    STORED = "stored"
+    WORN = "worn"
+    NOT_IN_MODEL = "not_in_model"
+    BUSY = "busy"
+    SUPERSEDED = "superseded"
+    STOPPED = "stopped"
+    REFUSED_BY_DRIVE = "refused_by_drive"
+    NOT_READ_BACK = "not_read_back"
+    NO_ANSWER = "no_answer"
+    LINE_DOWN = "line_down"
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One request of a controller.
+
+    `received` and `deadline` are monotonic seconds; no frame is sent after the deadline, but for stopping.
+    `value` is in the register's unit; `text` is a code or bits by name. `id` is the controller's own: a known
+    one gets the first result again and sends nothing (SAFETY.md H03).
+    """
+
+    drive: str
+    verb: Verb
+    source: Source
+    received: float
+    deadline: float
+    id: str = ""
+    is_reverse: bool = False
+    value: Decimal | None = None
+    text: str = ""
+    name: str = ""
+    address: int = 0
+    words: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What became of a command. `raw` is what was written and `read_back` what the drive holds, by register name."""
+
+    command: Command
+    status: Status
+    reason: Reason = Reason.NONE
+    text: str = ""
+    raw: Mapping[str, int] = field(default_factory=dict)
+    read_back: Mapping[str, int] = field(default_factory=dict)
+
+
+Answer = Callable[[Result], None]

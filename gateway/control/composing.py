@@ -1,0 +1,150 @@
+"""What a typed command comes to: words for registers by name, in the order in which they are to be written.
+
+Bits of the command word that a command does not speak of stay as the drive has them (E6581657 7.1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from gateway.control.command import Command, Reason, Verb
+from gateway.drives.model import Model
+from gateway.drives.notation import NotUnderstood, word_of
+from gateway.drives.register import Register
+from gateway.drives.scaling import OutOfRange
+
+COMMAND = "command"  # FA00
+FREQUENCY = "frequency_command"  # FA01
+SPEED = "motor_speed_command"  # FA13
+TERMINALS = "terminal_output"  # FA50
+ANALOG = "analog_output"  # FA51
+PRESETS = ("preset_speed_1", "preset_speed_2", "preset_speed_3", "preset_speed_4")  # bits 0 to 3, a number together
+PRESET_NUMBERS = range(16)  # 0: none
+PATTERNS = range(1, 3)
+PRIORITIES = ("frequency_priority", "command_priority")  # bits 14 and 15
+
+SETS: Mapping[Verb, tuple[str, ...]] = {
+    Verb.RUN: ("run", "command_priority"),
+    Verb.STOP: (),
+    Verb.COAST: ("coast", "command_priority"),
+    Verb.EMERGENCY_STOP: ("emergency_stop", "command_priority"),
+    Verb.RESET: ("fault_reset", "command_priority"),
+    Verb.PRESET: (),
+    Verb.JOG: ("run", "jog", "command_priority"),
+    Verb.ACCELERATION: (),
+    Verb.RELEASE: (),
+}
+MOTION = ("run", "jog", "coast", "emergency_stop", "fault_reset")
+CLEARS: Mapping[Verb, tuple[str, ...]] = {
+    Verb.RUN: (*MOTION, "reverse", *PRESETS),
+    Verb.STOP: MOTION,
+    Verb.COAST: MOTION,
+    Verb.EMERGENCY_STOP: MOTION,
+    Verb.RESET: MOTION,
+    Verb.PRESET: PRESETS,
+    Verb.JOG: (*MOTION, "reverse", *PRESETS),
+    Verb.ACCELERATION: ("acceleration_2",),
+    Verb.RELEASE: (*MOTION, *PRIORITIES),
+}
+VALUES: Mapping[Verb, str] = {
+    Verb.FREQUENCY: FREQUENCY,
+    Verb.SPEED: SPEED,
+    Verb.TERMINALS: TERMINALS,
+    Verb.ANALOG: ANALOG,
+}
+
+
+class NotComposable(Exception):
+    """A command that this model cannot be given, or not with this value; `reason` is for programs."""
+
+    def __init__(self, reason: Reason, text: str) -> None:
+        super().__init__(text)
+        self.reason = reason
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One word to be written; `bits` is what of it is to be read back."""
+
+    register: Register
+    word: int
+    bits: int = 0xFFFF
+
+
+def compose(command: Command, model: Model, command_word: int) -> tuple[Step, ...]:
+    """Return the words of a command, the frequency before the run bit; NotComposable says what is wrong.
+
+    `command_word` is FA00 as the drive has it.
+    """
+    if command.verb is Verb.SET:
+        return (_value(command, model, command.name),)
+    if command.verb is Verb.WORDS:
+        return tuple(_raw(model, command.address + place, word) for place, word in enumerate(command.words))
+    if command.verb in VALUES:
+        return (_value(command, model, VALUES[command.verb]),)
+    steps = []
+    is_run_at = command.verb is Verb.RUN and command.value is not None
+    if is_run_at:
+        steps.append(_value(command, model, FREQUENCY))
+    steps.append(_command_word(command, model, command_word, with_frequency=is_run_at))
+    return tuple(steps)
+
+
+def _register(model: Model, name: str) -> Register:
+    register = model.registers.get(name)
+    if register is None:
+        raise NotComposable(Reason.NOT_IN_MODEL, f"{model.name} has no register {name!r}")
+    return register
+
+
+def _value(command: Command, model: Model, name: str) -> Step:
+    register = _register(model, name)
+    try:
+        if command.text:
+            return Step(register, word_of(register, command.text), register.mask)
+        if command.value is not None:
+            return Step(register, register.encode(command.value), register.mask)
+        raise NotComposable(Reason.MALFORMED, f"{command.verb} needs a value")
+    except NotUnderstood as error:
+        raise NotComposable(Reason.MALFORMED, str(error)) from error
+    except OutOfRange as error:
+        raise NotComposable(Reason.RANGE, f"{name}: {error} {register.unit}".rstrip()) from error
+
+
+def _raw(model: Model, address: int, word: int) -> Step:
+    register = model.at(address)
+    if register is None:
+        raise NotComposable(Reason.NOT_IN_MODEL, f"{model.name} has no register {address:04X}H")
+    return Step(register, word, register.mask)
+
+
+def _command_word(command: Command, model: Model, before: int, *, with_frequency: bool) -> Step:
+    """Set and clear what a command speaks of in the command word, and leave the rest as it is."""
+    register = _register(model, COMMAND)
+    place = {name: bit for bit, name in register.bits.items()}
+    on, off = set(SETS[command.verb]), set(CLEARS[command.verb])
+    on |= {"reverse"} if command.is_reverse and command.verb in (Verb.RUN, Verb.JOG) else set()
+    on |= {"frequency_priority"} if with_frequency else set()
+    on |= _numbered(command)
+    if missing := on - place.keys():
+        raise NotComposable(Reason.NOT_IN_MODEL, f"{model.name}: {register.name} has no bit {', '.join(missing)}")
+    word = before & register.mask
+    for name in off & place.keys():
+        word &= ~(1 << place[name])
+    for name in on:
+        word |= 1 << place[name]
+    return Step(register, word, register.mask)
+
+
+def _numbered(command: Command) -> set[str]:
+    """Return the bits that spell a preset speed or an acceleration pattern."""
+    if command.verb not in (Verb.PRESET, Verb.ACCELERATION):
+        return set()
+    allowed = PRESET_NUMBERS if command.verb is Verb.PRESET else PATTERNS
+    number = -1 if command.value is None or command.value % 1 else int(command.value)
+    if number not in allowed:
+        raise NotComposable(Reason.RANGE, f"{command.verb} is a number from {allowed[0]} to {allowed[-1]}")
+    if command.verb is Verb.ACCELERATION:
+        return {"acceleration_2"} if number == PATTERNS[-1] else set()
+    return {name for bit, name in enumerate(PRESETS) if number >> bit & 1}

@@ -1,0 +1,1 @@
+"""Control: commands, leases, arming, watchdog."""

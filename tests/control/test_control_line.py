@@ -1,0 +1,220 @@
+"""Commands carried out on a simulated line in virtual time: who may, what moves, and what stops it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from decimal import Decimal
+from typing import Any
+
+import pytest
+
+from gateway.bus.worker import LineWorker
+from gateway.control.command import Channel, Command, Reason, Result, Source, Status, Verb
+from gateway.control.door import Door
+from gateway.sim.condition import TripCode
+from gateway.sim.faults import Fault, Kind
+from tests import virtual
+from tests.bus.rig import SELECTED, Bench, bench
+
+PLC = Source(Channel.MODBUS_TCP, "10.0.0.7")
+DASHBOARD = Source(Channel.MQTT, "dashboard")
+CONTROL = {
+    "control": "leased",
+    "sources": ["mqtt", "modbus-tcp"],
+    "communication_timeout": "1.5s",
+    "timeout_action": "stop",
+    "frequency": {"min": 0.0, "max": 60.0},
+}
+
+
+@dataclass
+class Stage:
+    """A line, its door, and what came out of it."""
+
+    bench: Bench
+    door: Door
+    results: list[Result] = field(default_factory=list)
+    events: list[tuple[str, str, str]] = field(default_factory=list)
+
+    async def ask(self, verb: Verb, source: Source = DASHBOARD, value: str | None = None, **more: Any) -> Result:
+        """Submit a command and wait for its result."""
+        now = asyncio.get_running_loop().time()
+        number = None if value is None else Decimal(value)
+        command = Command("d1", verb, source, now, now + 1.0, value=number, **more)
+        future: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
+        self.door.submit(command, future.set_result)
+        return await future
+
+    async def beat_for(self, seconds: float, source: Source = DASHBOARD) -> None:
+        """Keep the lease alive for a while."""
+        for beat in range(int(seconds / 0.5)):
+            self.door.beat("d1", source, beat)
+            await asyncio.sleep(0.5)
+
+    @property
+    def hertz(self) -> float:
+        """Return how fast the motor turns."""
+        return self.bench.drive.inverter.condition.motor.frequency
+
+
+def play(script: Callable[[Stage], Awaitable[None]], control: dict[str, Any] | None = None, **sim: Any) -> None:
+    """Run a script against one VF-nC3."""
+
+    async def main() -> None:
+        protocol = sim.pop("protocol", "modbus-rtu")
+        spoken = "modbus-rtu" if protocol == "modbus-rtu" else "toshiba"
+        simulated = {"number": 1, "model": "vf-nc3", "block_read": SELECTED, "protocol": spoken, **sim}
+        made = bench([simulated], drive={"protocol": protocol, **CONTROL, **(control or {})})
+        door = Door.of(made.configured, virtual.VirtualClock())
+        worker = LineWorker(
+            made.configured.lines[0],
+            made.image.by_name,
+            made.line_stats,
+            made.drive_stats,
+            virtual.VirtualClock(),
+            made.open,
+            door.controls,
+        )
+        door.connect({"d1": worker.ring})
+        stage = Stage(made, door)
+        door.on_result(stage.results.append)
+        door.on_event(lambda *event: stage.events.append(event))
+        task = asyncio.create_task(worker.run())
+        try:
+            await asyncio.sleep(3.0)
+            await script(stage)
+            assert not task.done() or task.exception() is None
+            assert made.wire.statistics.gap_violations == 0
+        finally:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+
+    virtual.run(main())
+
+
+async def started(stage: Stage, hertz: str = "30") -> None:
+    """Take, arm and run."""
+    assert (await stage.ask(Verb.TAKE)).status is Status.DONE
+    assert (await stage.ask(Verb.ARM)).status is Status.DONE
+    result = await stage.ask(Verb.RUN, value=hertz)
+    assert result.status is Status.DONE, result
+
+
+@pytest.mark.parametrize("protocol", ["modbus-rtu", "toshiba-ascii", "toshiba-binary"])
+def test_a_motor_is_started_and_stopped(protocol: str) -> None:
+    """Frequency, then run; read back; stop at the end."""
+
+    async def script(stage: Stage) -> None:
+        await started(stage)
+        await stage.beat_for(6.0)
+        assert stage.hertz == 30.0
+        assert (await stage.ask(Verb.STOP)).status is Status.DONE
+        await stage.beat_for(6.0)
+        assert stage.hertz == 0.0
+
+    play(script, protocol=protocol)
+
+
+@pytest.mark.hazard("H05")
+def test_a_dead_controller_stops_the_motor() -> None:
+    """The heartbeat ends: stopped within the lease and two exchanges."""
+
+    async def script(stage: Stage) -> None:
+        await started(stage)
+        await stage.beat_for(5.0)
+        assert stage.hertz == 30.0
+        await asyncio.sleep(2.1)
+        assert not stage.bench.drive.inverter.operation.is_running
+        assert ("d1", "lease_lost", str(DASHBOARD)) in stage.events
+        result = await stage.ask(Verb.RUN, value="10")
+        assert (result.status, result.reason) == (Status.REFUSED, Reason.NOT_ARMED)
+
+    play(script)
+
+
+@pytest.mark.hazard("H05")
+def test_a_drive_that_does_not_stop_is_left_to_its_own_time_out() -> None:
+    """The stop is lost on the way: no frame any more, and F803 trips it."""
+
+    async def script(stage: Stage) -> None:
+        await started(stage)
+        await stage.beat_for(5.0)
+        stage.bench.wire.faults.add(Fault(Kind.CUT, 1))
+        await asyncio.sleep(2.0 + 1.0 + 1.5 + 3.0)
+        assert stage.bench.drive.inverter.condition.trip_code == TripCode.COMMUNICATION
+
+    play(script)
+
+
+@pytest.mark.hazard("H04")
+def test_one_owner_at_a_time_but_everybody_may_stop() -> None:
+    """Another source gets not_owner; its stop is obeyed."""
+
+    async def script(stage: Stage) -> None:
+        await started(stage)
+        result = await stage.ask(Verb.FREQUENCY, PLC, "10")
+        assert (result.status, result.reason) == (Status.REFUSED, Reason.NOT_OWNER)
+        assert (await stage.ask(Verb.STOP, PLC)).status is Status.DONE
+        assert not stage.bench.drive.inverter.operation.is_running
+
+    play(script)
+
+
+@pytest.mark.hazard("H06")
+def test_the_watchdog_is_set_and_without_it_nothing_runs() -> None:
+    """F803 and F804 as configured, written once; not configured: no arming."""
+
+    async def armed(stage: Stage) -> None:
+        memory = stage.bench.drive.inverter.memory
+        assert (memory.word("communication_timeout"), memory.word("timeout_action")) == (15, 2)
+        assert memory.eeprom_writes == {0x0803: 1, 0x0804: 1}
+        assert (await stage.ask(Verb.TAKE)).status is Status.DONE
+        assert (await stage.ask(Verb.ARM)).status is Status.DONE
+
+    async def unarmed(stage: Stage) -> None:
+        result = await stage.ask(Verb.ARM)
+        assert (result.status, result.reason) == (Status.REFUSED, Reason.NO_WATCHDOG)
+
+    play(armed)
+    play(unarmed, {"communication_timeout": "100s", "timeout_action": "alarm"}, registers={"timeout_action": 0})
+
+
+@pytest.mark.hazard("H31")
+def test_a_wild_setpoint_is_refused() -> None:
+    """Beyond what is configured, never clamped."""
+
+    async def script(stage: Stage) -> None:
+        result = await stage.ask(Verb.FREQUENCY, value="60.01")
+        assert (result.status, result.reason) == (Status.REFUSED, Reason.RANGE)
+        assert (await stage.ask(Verb.FREQUENCY, value="60.00")).status is Status.DONE
+
+    play(script)
+
+
+@pytest.mark.hazard("H03")
+def test_a_known_id_acts_once() -> None:
+    """The first result again, and no frame."""
+
+    async def script(stage: Stage) -> None:
+        first = await stage.ask(Verb.FREQUENCY, value="20", id="7")
+        second = await stage.ask(Verb.FREQUENCY, value="40", id="7")
+        assert second is first
+        assert stage.bench.drive.inverter.memory.word("frequency_command") == 2000
+
+    play(script)
+
+
+def test_a_trip_disarms() -> None:
+    """After it nothing runs until it is reset and armed again."""
+
+    async def script(stage: Stage) -> None:
+        await started(stage)
+        stage.bench.drive.inverter.trip(TripCode.EMERGENCY)
+        await stage.beat_for(1.0)
+        result = await stage.ask(Verb.RUN, value="30")
+        assert (result.status, result.reason) == (Status.REFUSED, Reason.NOT_ARMED)
+        assert "tripped" in result.text
+
+    play(script)
