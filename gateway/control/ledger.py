@@ -5,12 +5,13 @@ Setpoints and run commands are never kept as something to go on from: the audit 
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 from gateway.control.command import Result
+from gateway.control.wear import UNWORN, Key, Wear
 
 Counted = Callable[[str], None]  # "": the write is counted for good; else why it cannot be, and must not be made
 
@@ -68,8 +69,19 @@ class Ledger(Protocol):
     def problem(self) -> str:
         """Say why nothing can be counted for good; "" while all is well."""
 
+    @property
+    def dropped(self) -> int:
+        """Return how many rows of the audit were dropped since the start."""
+
+    @property
+    def wear(self) -> Mapping[Key, Wear]:
+        """Return all that was counted, by drive and number; times are monotonic seconds."""
+
     def count(self, drive: str, address: int) -> int:
         """Return how many writes of a parameter were counted: never fewer than were made."""
+
+    def last(self, drive: str) -> float:
+        """Return when a write to the drive was counted last, before the last start too; -inf where none was."""
 
     def reserve(self, drive: str, address: int, then: Counted) -> None:
         """Count a write that is about to be made; `then` is called in the event loop, perhaps before this returns.
@@ -87,15 +99,23 @@ class Ledger(Protocol):
 
 @dataclass(slots=True)
 class MemoryLedger:
-    """A ledger that lasts as long as the process. `problem` may be set, to see what a broken one does."""
+    """A ledger that lasts as long as the process, and knows no time.
+
+    `problem` may be set, to see what a broken one does.
+    """
 
     problem: str = ""
-    counts: Counter[tuple[str, int]] = field(default_factory=Counter)
-    entries: deque[Entry] = field(default_factory=lambda: deque(maxlen=KEPT))
+    dropped: int = 0
+    wear: dict[Key, Wear] = field(default_factory=dict)
+    entries: deque[Entry] = field(default_factory=deque)
 
     def count(self, drive: str, address: int) -> int:
         """Return the writes counted since the start."""
-        return self.counts[drive, address]
+        return self.wear.get((drive, address), UNWORN).writes
+
+    def last(self, drive: str) -> float:
+        """Return that nothing is known from before the start."""
+        return float("-inf")
 
     def reserve(self, drive: str, address: int, then: Counted) -> None:
         """Count a write, and say so at once."""
@@ -105,8 +125,11 @@ class MemoryLedger:
 
     def note(self, drive: str, address: int) -> None:
         """Count a write."""
-        self.counts[drive, address] += 1
+        self.wear[drive, address] = Wear(self.count(drive, address) + 1)
 
     def record(self, entry: Entry) -> None:
         """Keep an entry; the oldest gives way."""
+        if len(self.entries) >= KEPT:
+            self.entries.popleft()
+            self.dropped += 1
         self.entries.append(entry)
