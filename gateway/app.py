@@ -13,7 +13,7 @@ from gateway import __version__, systemd
 from gateway.bus.serial_line import open_line
 from gateway.bus.worker import LineWorker, Opener
 from gateway.clock import Clock, SystemClock
-from gateway.control.door import Door
+from gateway.control.door import Door, LineBell
 from gateway.errors import GatewayError
 from gateway.image import Image, LinkState
 from gateway.metrics import DriveStats, LineStats, Stats
@@ -25,6 +25,8 @@ from gateway.web.server import WebServer
 log = logging.getLogger("gateway")
 
 SWEEP_EVERY = 0.1  # seconds between two looks for values that turned stale
+LEAVE_WITHIN = 4.0  # seconds for drives to be seen to stop when the gateway ends
+LEAVE_STEP = 0.02
 RATES_EVERY = 1.0  # seconds over which load and exchanges per second are counted
 
 
@@ -56,12 +58,8 @@ class App:
             )
             for line in site.lines
         ]
-        rings = {
-            drive.name: worker.ring
-            for line, worker in zip(site.lines, self.workers, strict=True)
-            for drive in line.drives
-        }
-        self.door.connect(rings)
+        for line, worker in zip(site.lines, self.workers, strict=True):
+            self.door.connect(LineBell(line.name, tuple(d.name for d in line.drives), worker.ring, worker.announce))
         self.bridge = (
             Bridge(config.mqtt, config.gateway.name, self.image, self.stats.mqtt, self.clock, door=self.door)
             if config.mqtt
@@ -112,6 +110,8 @@ class App:
         log.info("tosvert-gateway %s: %d lines, %d drives", __version__, len(self.site.lines), len(self.site.drives))
         try:
             done, _ = await asyncio.wait([*lines, *others, stop], return_when=asyncio.FIRST_COMPLETED)
+            if stop in done:
+                await self._leave()
         finally:
             for tasks in (lines, [*others, stop]):
                 for task in tasks:
@@ -121,6 +121,15 @@ class App:
             await task
         log.info("ended in order")
 
+    async def _leave(self) -> None:
+        """Stop what `on_exit` wants stopped, and see that it does, before any port is closed (SAFETY.md H13)."""
+        self.door.leave()
+        until = self.clock.now() + LEAVE_WITHIN
+        while not self.door.is_settled and self.clock.now() < until:  # noqa: ASYNC110 - the lines settle it
+            await asyncio.sleep(LEAVE_STEP)
+        if not self.door.is_settled:
+            log.warning("not every drive was seen to stop; their own communication time-outs have to act")
+
     async def _keep_house(self) -> None:
         """Find what turned stale, count rates, tell the service manager that the loop is alive."""
         watchdog = systemd.watchdog_interval()
@@ -128,6 +137,7 @@ class App:
         before = dict.fromkeys(self.stats.lines, (0, 0.0))
         while True:
             now = self.clock.now()
+            self.door.pulse()
             self.image.sweep(now)
             if now >= next_rates:
                 before = self._count_rates(before, now - next_rates + RATES_EVERY)

@@ -51,11 +51,19 @@ class Provision:
     def awaits_reset(self, facts: Mapping[str, int]) -> bool:
         """Say whether selectors may stand in the drive that are not in force.
 
-        Nobody but the gateway sets the mark, and only to provision: where it stands, no reset has come since.
+        Nobody but the gateway sets the mark, and only to provision: where it stands, no reset has come since. A
+        controlled drive is marked whenever it is armed: then only what this process has written counts.
         """
         if not self.drive.provision:
             return False
+        if self.drive.is_controlled:
+            return bool(self._changed) and self.is_marked(facts)
         return facts[RESET_MARK] == 1 if RESET_MARK in facts else bool(self._changed)
+
+    @staticmethod
+    def is_marked(facts: Mapping[str, int]) -> bool:
+        """Say whether the mark stands, or cannot be seen."""
+        return facts.get(RESET_MARK, 1) == 1
 
     def next(self, facts: Mapping[str, int]) -> tuple[Register, WriteRam | WriteStored] | None:
         """Return the next register to write and its request; None when nothing is left to do."""

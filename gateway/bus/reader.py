@@ -166,8 +166,9 @@ class DriveReader:
         self._control.end("the drive is set up anew")
         model = self.drive.model
         names = (*IDENTITY_REGISTERS, *((BLOCK_MODE, RESET_MARK) if self._planner.has_block else ()))
-        wanted = [model.registers[name] for name in names if name in model.registers]
-        wanted += [*self._selector_registers(), *self.drive.bases, *control_registers(self.drive)]
+        wanted = control_registers(self.drive)
+        wanted += [model.registers[name] for name in names if name in model.registers]
+        wanted += [*self._selector_registers(), *self.drive.bases]
         self._proof.propose(self.able.mapping, first=True)
         self.able = replace(self.able, mapping=None)
         self._missing = list({register.name: register for register in wanted}.values())

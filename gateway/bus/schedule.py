@@ -64,6 +64,15 @@ class Schedule(Generic[Work]):
     _jobs: dict[str, list[Job[Work]]] = field(default_factory=dict)
     _probes: dict[str, _Probe[Work]] = field(default_factory=dict)
     _probing_allowed: float = float("-inf")
+    _suspended: set[str] = field(default_factory=set)
+
+    def suspend(self, drive: str) -> None:
+        """Do nothing at all for a drive until `resume`."""
+        self._suspended.add(drive)
+
+    def resume(self, drive: str) -> None:
+        """Go on with a drive; what fell due meanwhile is due now."""
+        self._suspended.discard(drive)
 
     def set_jobs(self, drive: str, jobs: Iterable[Job[Work]]) -> None:
         """Replace all that is done for a drive; it is no longer probed."""
@@ -108,7 +117,9 @@ class Schedule(Generic[Work]):
                 return Send(probe.job, is_probe=True)
         best: Job[Work] | None = None
         earliest = probe_at
-        for jobs in self._jobs.values():
+        for drive, jobs in self._jobs.items():
+            if drive in self._suspended:
+                continue
             for job in jobs:
                 if job.due > now:
                     earliest = min(earliest, job.due)

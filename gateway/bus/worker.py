@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 
 from gateway import site
 from gateway.bus.blocks import Planner
@@ -15,12 +15,13 @@ from gateway.bus.schedule import AHEAD, Job, NotBefore, Schedule, Send
 from gateway.bus.setpoint import Setpoint
 from gateway.bus.work import Learnt, Task, Work
 from gateway.clock import Clock
-from gateway.control.drive_control import DriveControl
-from gateway.control.execution import Execution
+from gateway.control.composing import COMMAND
+from gateway.control.drive_control import DriveControl, Errand
 from gateway.errors import BadReply, LineDown, NoReply, Refusal, Refused
 from gateway.image import DriveImage, LinkState
 from gateway.metrics import DriveStats, LineStats
-from gateway.protocol.pdu import ReadWords, Request, Words, WriteStored
+from gateway.protocol.codec import Codec, NoSuchForm
+from gateway.protocol.pdu import EVERY_DRIVE, ReadWords, Request, Words, WriteRam, WriteStored
 
 log = logging.getLogger("gateway.bus")
 frames = logging.getLogger("gateway.bus.frames")
@@ -30,6 +31,8 @@ REOPEN_LAST = 10.0
 SETTLE = 0.1  # seconds of silence after opening: half a frame of whoever spoke before is let go
 LATE_AT_MOST = 0.4  # seconds after a time-out in which the old answer may still come, twice the margin at least
 IDLE_WAIT = 1.0  # seconds, when there is nothing to do at all
+
+LOST = (LinkState.OFFLINE, LinkState.STRANGER, LinkState.LINE_DOWN)
 
 Opener = Callable[[site.Line, Clock], Awaitable[Line]]
 
@@ -47,6 +50,7 @@ class _Station:
         self.reader = DriveReader(drive, planner, phase)
         self.link = Link()
         self.trip_signs: dict[str, bool] = {}  # MODBUS-RTU: by FC90, and by the bit in FD01
+        self.is_left_alone = False  # by its control, so that its own time-out acts
         self.quiet_until = float("-inf")  # nothing but identifications before: a late answer might be believed
         self.processing = drive.model.times.processing + drive.wait_time
 
@@ -79,7 +83,8 @@ class LineWorker:
         self._opener = opener
         self._alarm = clock.alarm()
         self._schedule: Schedule[Work] = Schedule(line.silent_share, line.probe_every, line.probe_at_most)
-        self._last_served = ""
+        self._last_served = self._last_stopped = ""
+        self._broadcasts: list[tuple[Codec, WriteRam]] = []
         self._stations: dict[str, _Station] = {}
         for index, drive in enumerate(line.drives):
             processing = drive.model.times.processing + drive.wait_time
@@ -138,6 +143,9 @@ class LineWorker:
         """Do the next thing: an exchange, or waiting for the next one's time."""
         now = self._clock.now()
         wake = self._look_at_controls(now)
+        if self._broadcasts:
+            await self._broadcast(exchanger, *self._broadcasts.pop(0))
+            return
         if (errand := self._errand(now)) is not None:
             await self._carry(exchanger, *errand)
             return
@@ -155,67 +163,108 @@ class LineWorker:
         """Look again at what is to be done: a command has come."""
         self._alarm.ring()
 
+    def announce(self, word: int) -> bool:
+        """Have a command word broadcast ahead of everything, in every protocol of the line; say whether one can."""
+        for drive in self._line.drives:
+            request = WriteRam(EVERY_DRIVE, drive.model.registers[COMMAND].address, word)
+            told = (drive.codec, request)
+            if told not in self._broadcasts and _has(*told):
+                self._broadcasts.append(told)
+        self.ring()
+        return bool(self._broadcasts)
+
     def _look_at_controls(self, now: float) -> float:
         """Let every control see the time; return when the next one has to."""
         for name, control in self._controls.items():
-            was_quiet = control.is_quiet
             control.tick(now)
-            if control.is_quiet and not was_quiet:
-                self._leave_alone(self._stations[name], control)
+            self._follow(self._stations[name], control, now)
         return min((control.next_time() for control in self._controls.values()), default=float("inf"))
 
-    def _leave_alone(self, station: _Station, control: DriveControl) -> None:
-        """Send a drive nothing, not even a read, until its own F803 has surely acted; then begin anew with it."""
-        station.reader.forget()
-        self._schedule.probe(station.drive.name, station.reader.identify(), control.next_time())
-        self._hear_lost(station, f"left alone: {control.reason}")
+    def _follow(self, station: _Station, control: DriveControl, now: float) -> None:
+        """Do for a drive what its control wants: leave it alone, begin anew, or send it nothing but a stop."""
+        name = station.drive.name
+        if control.is_quiet and not station.is_left_alone:
+            self._begin_anew(station, control.next_time(), f"left alone: {control.reason}")
+        elif control.needs_set_up:
+            control.needs_set_up = False
+            self._begin_anew(station, now + station.drive.model.times.start_up, control.reason)
+        station.is_left_alone = control.is_quiet
+        if control.is_exclusive:
+            self._schedule.suspend(name)
+        else:
+            self._schedule.resume(name)
 
-    def _hear_lost(self, station: _Station, reason: str) -> None:
+    def _begin_anew(self, station: _Station, when: float, reason: str) -> None:
+        """Send a drive nothing before that time, not even a read; then identify and observe it."""
+        station.reader.forget()
+        station.trip_signs.clear()
         station.link = Link(LinkState.OFFLINE)
         station.image.set_link(LinkState.OFFLINE, reason)
+        self._tell_control(station, reason)
+        self._schedule.probe(station.drive.name, station.reader.identify(), when)
 
-    def _errand(self, now: float) -> tuple[_Station, DriveControl, Execution, Request] | None:
-        """Return the next frame of a command: stops first, then drive after drive in turn."""
-        waiting = [(name, control) for name, control in self._controls.items() if control.has_waiting]
-        for name, control in sorted(waiting, key=lambda item: (not item[1].is_urgent, item[0] == self._last_served)):
-            found = control.next(now)
-            if found is not None:
-                self._last_served = name
-                return (self._stations[name], control, *found)
-        return None
-
-    async def _carry(
-        self, exchanger: Exchanger, station: _Station, control: DriveControl, execution: Execution, request: Request
-    ) -> None:
-        """Carry out one frame of a command."""
-        control.sending(execution)
+    async def _carry(self, exchanger: Exchanger, station: _Station, control: DriveControl, errand: Errand) -> None:
+        """Carry out one frame of a command, or a look for it."""
+        request = errand.request
+        control.sending(errand)
         station.stats.exchanges += 1
+        if isinstance(request, WriteStored):
+            station.stats.eeprom_writes[request.address] += 1
         try:
             answered = await exchanger.exchange(station.drive.codec, request, station.processing_of(request))
         except (NoReply, BadReply) as error:
-            self._stats.errors["no_reply" if isinstance(error, NoReply) else "bad_reply"] += 1
+            self._count(station, error)
             self._hear(station, Heard.SILENCE, str(error))
-            control.on_silence(execution, str(error))
+            control.on_silence(errand, str(error), self._clock.now())
+            if station.link.state is LinkState.OFFLINE and not self._schedule.is_probed(station.drive.name):
+                self._lost(station)
         except Refused as refused:
             self._stats.errors["refused"] += 1
             self._heard(station, self._clock.now())
             self._trip(station, refused.is_tripped, self._clock.now())
-            control.on_refused(execution, refused)
+            control.on_refused(errand, refused)
         else:
-            self._heard(station, answered.done)
-            if answered.reply is not None:
-                self._trip(station, answered.reply.is_tripped, answered.done)
-                self._show(station, request, answered)
-            control.on_reply(execution, answered.reply)
-        for address in execution.wore:
-            station.stats.eeprom_writes[address] += 1
-        execution.wore.clear()
+            self._carried(station, control, errand, answered)
 
-    def _show(self, station: _Station, request: Request, answered: Answered) -> None:
-        """Let a value that was read back be seen at once."""
-        if isinstance(request, ReadWords) and isinstance(answered.reply, Words):
-            pairs = enumerate(answered.reply.words, request.address)
-            station.image.apply(list(pairs), answered.done, self._clock.wall())
+    def _carried(self, station: _Station, control: DriveControl, errand: Errand, answered: Answered) -> None:
+        """Take the answer to a command's frame: what was read back is seen at once."""
+        reply, request = answered.reply, errand.request
+        if reply is not None:
+            station.stats.answers.observe(answered.done - answered.sent)
+            self._heard(station, answered.done)
+            self._trip(station, reply.is_tripped, answered.done)
+            if isinstance(request, ReadWords) and isinstance(reply, Words):
+                pairs = list(enumerate(reply.words, request.address))
+                station.image.apply(pairs, answered.done, self._clock.wall())
+        control.on_reply(errand, reply, answered.done)
+
+    def _lost(self, station: _Station) -> None:
+        """Try a drive that is no longer there from time to time."""
+        station.reader.forget()
+        station.trip_signs.clear()
+        when = self._clock.now() + self._line.probe_every
+        self._schedule.probe(station.drive.name, station.reader.identify(), when)
+
+    def _errand(self, now: float) -> tuple[_Station, DriveControl, Errand] | None:
+        """Return the next frame of a command or for one: stops first, then drive after drive in turn."""
+        if not self._controls:
+            return None
+        asked = [name for name, control in self._controls.items() if control.has_stop]
+        others = [name for name in self._controls if name not in asked]
+        for names in (_after(asked, self._last_stopped), _after(others, self._last_served)):
+            for name in names:
+                errand = self._controls[name].next(now)
+                if errand is not None:
+                    if errand.is_stop:
+                        self._last_stopped = name
+                    else:
+                        self._last_served = name
+                    return self._stations[name], self._controls[name], errand
+        return None
+
+    async def _broadcast(self, exchanger: Exchanger, codec: Codec, request: WriteRam) -> None:
+        """Tell every drive of a line at once; nobody answers."""
+        await exchanger.exchange(codec, request, max(station.processing for station in self._stations.values()))
 
     async def _exchange(self, exchanger: Exchanger, job: Job[Work]) -> None:
         """Carry out one exchange; whatever comes of it is finished here and nowhere else."""
@@ -265,6 +314,8 @@ class LineWorker:
 
     def _trip(self, station: _Station, is_tripped: bool | None, now: float) -> None:
         """Take what an answer said of a trip; at each change the trip code and the status are read at once."""
+        if (control := self._controls.get(station.drive.name)) is not None:
+            control.on_trip(is_tripped)
         if is_tripped is None or is_tripped is station.image.is_tripped:
             return
         if is_tripped:
@@ -272,8 +323,6 @@ class LineWorker:
         elif station.image.is_tripped is not None:
             log.info("%s is no longer tripped", station.drive.name)
         station.image.set_tripped(is_tripped)
-        if (control := self._controls.get(station.drive.name)) is not None:
-            control.on_trip(is_tripped)
         if station.reader.is_set_up:
             self._add(station.drive.name, station.reader.on_trip(), now)
 
@@ -369,13 +418,29 @@ class LineWorker:
         self._tell_control(station, reason)
 
     def _tell_control(self, station: _Station, reason: str) -> None:
-        """Let the drive's control know whether it may be commanded, and how it is set."""
+        """Let the drive's control know whether it may be commanded, how it is set, and whether it is tripped."""
         control = self._controls.get(station.drive.name)
-        if control is not None:
-            is_online = station.link.state.is_connected and station.reader.is_set_up
-            if is_online and not control.is_online:
-                control.facts = dict(station.reader.facts)
-            control.on_link(is_online=is_online, reason=reason, now=self._clock.now())
+        if control is None:
+            return
+        state, now = station.link.state, self._clock.now()
+        if state.is_connected and station.reader.is_set_up:
+            facts = station.reader.facts
+            model = station.drive.model
+            found = [(model.registers[name].address, word) for name, word in facts.items()]
+            control.on_online(facts, model.trip_signs(found), now)
+        elif state in LOST:
+            control.on_offline(reason, now)
+        else:
+            control.on_heard(is_heard=True)
+
+    def _count(self, station: _Station, error: NoReply | BadReply) -> None:
+        is_silence = isinstance(error, NoReply)
+        self._stats.errors["no_reply" if is_silence else "bad_reply"] += 1
+        if is_silence:
+            station.stats.timeouts += 1
+        else:
+            station.stats.bad_replies += 1
+        frames.debug("rx %s: %s", station.drive.name, error)
 
     def _unanswered(self, station: _Station, job: Job[Work], error: NoReply | BadReply, started: float) -> None:
         """Count silence or garbage, and decide how the drive is tried next.
@@ -384,16 +449,10 @@ class LineWorker:
         answer to the old one cannot be taken for its answer; and the drive is asked nothing else for a while.
         """
         now = self._clock.now()
-        kind = "no_reply" if isinstance(error, NoReply) else "bad_reply"
-        self._stats.errors[kind] += 1
-        if isinstance(error, NoReply):
-            station.stats.timeouts += 1
-        else:
-            station.stats.bad_replies += 1
-        frames.debug("rx %s: %s", job.drive, error)
+        self._count(station, error)
         name = station.drive.name
         self._hear(station, Heard.SILENCE, str(error))
-        is_lost = station.link.state in (LinkState.OFFLINE, LinkState.STRANGER)
+        is_lost = station.link.state in LOST
         if self._schedule.is_probed(name):
             self._ask_again(station, job, started)
         elif is_lost:
@@ -407,3 +466,17 @@ class LineWorker:
             self._schedule.hold(name, station.quiet_until)
             self._schedule.add(Job(name, station.reader.identify(), None, now, AHEAD))
 
+
+def _has(codec: Codec, request: Request) -> bool:
+    """Say whether a protocol has a frame for a request."""
+    try:
+        codec.encode(request)
+    except NoSuchForm:
+        return False
+    return True
+
+
+def _after(names: Sequence[str], last: str) -> list[str]:
+    """Return names in turn, beginning behind the last one served."""
+    place = names.index(last) + 1 if last in names else 0
+    return [*names[place:], *names[:place]]

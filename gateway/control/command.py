@@ -50,6 +50,7 @@ class Verb(StrEnum):
     ARM = "arm"
     TAKE = "take"
     RELEASE = "release"
+    RELEASE_PRIORITY = "release_priority"
 
     @property
     def is_stopping(self) -> bool:
@@ -91,6 +92,8 @@ class Reason(StrEnum):
     FORBIDDEN = "forbidden"
     STORED = "stored"
     WORN = "worn"
+    TOO_OFTEN = "too_often"
+    NO_STORE = "no_store"
     NOT_IN_MODEL = "not_in_model"
     BUSY = "busy"
     SUPERSEDED = "superseded"
@@ -99,6 +102,8 @@ class Reason(StrEnum):
     NOT_READ_BACK = "not_read_back"
     NO_ANSWER = "no_answer"
     LINE_DOWN = "line_down"
+    STILL_TRIPPED = "still_tripped"
+    ENDING = "ending"
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +131,7 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What became of a command. `raw` is what was written and `read_back` what the drive holds, by register name."""
+    """What became of a command: by register name the words known before, those written, and what the drive holds."""
 
     command: Command
     status: Status
@@ -134,6 +139,7 @@ class Result:
     text: str = ""
     raw: Mapping[str, int] = field(default_factory=dict)
     read_back: Mapping[str, int] = field(default_factory=dict)
+    before: Mapping[str, int] = field(default_factory=dict)
 
 
 Answer = Callable[[Result], None]

@@ -26,14 +26,14 @@ PRIORITIES = ("frequency_priority", "command_priority")  # bits 14 and 15
 
 SETS: Mapping[Verb, tuple[str, ...]] = {
     Verb.RUN: ("run", "command_priority"),
-    Verb.STOP: (),
+    Verb.STOP: ("command_priority",),  # a drive that its panel or terminals run is stopped as well
     Verb.COAST: ("coast", "command_priority"),
     Verb.EMERGENCY_STOP: ("emergency_stop", "command_priority"),
     Verb.RESET: ("fault_reset", "command_priority"),
     Verb.PRESET: (),
     Verb.JOG: ("run", "jog", "command_priority"),
     Verb.ACCELERATION: (),
-    Verb.RELEASE: (),
+    Verb.RELEASE_PRIORITY: (),
 }
 MOTION = ("run", "jog", "coast", "emergency_stop", "fault_reset")
 CLEARS: Mapping[Verb, tuple[str, ...]] = {
@@ -45,7 +45,7 @@ CLEARS: Mapping[Verb, tuple[str, ...]] = {
     Verb.PRESET: PRESETS,
     Verb.JOG: (*MOTION, "reverse", *PRESETS),
     Verb.ACCELERATION: ("acceleration_2",),
-    Verb.RELEASE: (*MOTION, *PRIORITIES),
+    Verb.RELEASE_PRIORITY: (*MOTION, *PRIORITIES),
 }
 VALUES: Mapping[Verb, str] = {
     Verb.FREQUENCY: FREQUENCY,
@@ -72,23 +72,46 @@ class Step:
     bits: int = 0xFFFF
 
 
-def compose(command: Command, model: Model, command_word: int) -> tuple[Step, ...]:
-    """Return the words of a command, the frequency before the run bit; NotComposable says what is wrong.
+def compose(command: Command, model: Model, known: Mapping[str, int]) -> tuple[Step, ...]:
+    """Return the words of a command, the command word last; NotComposable says what is wrong.
 
-    `command_word` is FA00 as the drive has it.
+    `known` are words as the drive has them, by register name: FA00, and FA01 once a controller has set it.
     """
     if command.verb is Verb.SET:
         return (_value(command, model, command.name),)
     if command.verb is Verb.WORDS:
-        return tuple(_raw(model, command.address + place, word) for place, word in enumerate(command.words))
+        steps = [_raw(model, command.address + place, word) for place, word in enumerate(command.words)]
+        return tuple(sorted(steps, key=lambda step: step.register.name == COMMAND))
+    before = known.get(COMMAND, 0)
     if command.verb in VALUES:
-        return (_value(command, model, VALUES[command.verb]),)
-    steps = []
+        value = _value(command, model, VALUES[command.verb])
+        return (value, *_taking_effect(command, model, before))
     is_run_at = command.verb is Verb.RUN and command.value is not None
-    if is_run_at:
-        steps.append(_value(command, model, FREQUENCY))
-    steps.append(_command_word(command, model, command_word, with_frequency=is_run_at))
-    return tuple(steps)
+    value_first = (_value(command, model, FREQUENCY),) if is_run_at else ()
+    with_frequency = is_run_at or (command.verb is Verb.RUN and FREQUENCY in known)
+    return (*value_first, _command_word(command, model, before, with_frequency=with_frequency))
+
+
+def runs(register: Register, word: int) -> bool:
+    """Say whether a command word sets the motor in motion."""
+    return any(name in ("run", "jog") and word >> bit & 1 for bit, name in register.bits.items())
+
+
+def has_bit(register: Register, word: int, *names: str) -> bool:
+    """Say whether one of the named bits is set in a word."""
+    return any(name in names and word >> bit & 1 for bit, name in register.bits.items())
+
+
+def _taking_effect(command: Command, model: Model, before: int) -> tuple[Step, ...]:
+    """Give the frequency from the line priority where the motor already runs by command, but not at it."""
+    register = model.registers.get(COMMAND)
+    is_setpoint = command.verb in (Verb.FREQUENCY, Verb.SPEED)
+    if register is None or not is_setpoint or not runs(register, before):
+        return ()
+    if not has_bit(register, before, "command_priority") or has_bit(register, before, "frequency_priority"):
+        return ()
+    place = {name: bit for bit, name in register.bits.items()}
+    return (Step(register, (before & register.mask) | 1 << place["frequency_priority"], register.mask),)
 
 
 def _register(model: Model, name: str) -> Register:

@@ -11,42 +11,53 @@ from enum import Enum
 
 from gateway.control.command import Answer, Command, Reason, Result, Status
 from gateway.control.writes import PlannedWrite
-from gateway.errors import Refused
-from gateway.protocol.pdu import ReadWords, Reply, Request, Words, WriteStored
+from gateway.errors import Refusal, Refused
+from gateway.protocol.pdu import ReadWords, Reply, Request, Words
+
+READ_BACKS = 2  # reads without an answer, before the outcome is called unknown
+SILENT_STOPS = 3  # writes of a stop without an answer in a row: then the drive's own F803 has to act
+VAIN_STOPS = 5  # stops that were answered and yet do not read back, or were refused for now
+READING_LATER = 1.0  # seconds beyond the deadline in which a write that was sent may still be read back
 
 
 class Phase(Enum):
     """How far a command is."""
 
     COMPARING = "comparing"  # reading what a stored parameter holds: an equal value is not written
+    RESERVING = "reserving"  # the write to the EEPROM is being counted, for good, before it is sent
     WRITING = "writing"
     VERIFYING = "verifying"
     OVER = "over"
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Execution:
-    """The frames of one command, one after another: compare (EEPROM only), write, read back.
+    """The frames of one command, one after another: compare and count (EEPROM only), write, read back.
 
-    A write without an answer is not repeated; reading back tells what became of it. `is_persistent` is for
-    stopping: it is written again until it is read back, however late.
+    A write without an answer is not repeated: reading back tells what became of it. `is_stop` is written again
+    until it is answered, with no read in between, since a read would keep the drive's F803 from acting; then it is
+    read back. `was_announced`: every drive was told by one broadcast, and it may only have to be read back.
     """
 
     command: Command
     writes: Sequence[PlannedWrite]
     answer: Answer
-    is_persistent: bool = False
+    is_stop: bool = False
+    was_announced: bool = False
     phase: Phase = Phase.WRITING
     was_sent: bool = False
-    wore: list[int] = field(default_factory=list)
+    is_begun: bool = False
+    is_reserving: bool = False
+    before: dict[str, int] = field(default_factory=dict)
     read_back: dict[str, int] = field(default_factory=dict)
-    is_done: bool = False
+    status: Status | None = None
     _place: int = 0
     _silent: str = ""
-    _is_told: bool = False
+    _silences: int = 0
+    _vain: int = 0
 
     def __post_init__(self) -> None:
-        self._begin_write()
+        self.phase = Phase.VERIFYING if self.was_announced else self._first_phase
 
     @property
     def is_over(self) -> bool:
@@ -54,27 +65,79 @@ class Execution:
         return self.phase is Phase.OVER
 
     @property
-    def _write(self) -> PlannedWrite:
+    def is_done(self) -> bool:
+        """Say whether it was done, and read back."""
+        return self.status is Status.DONE
+
+    @property
+    def write(self) -> PlannedWrite:
+        """Return the write that it is at."""
         return self.writes[self._place]
 
-    def _begin_write(self) -> None:
-        self.phase = Phase.COMPARING if self._write.wears_eeprom else Phase.WRITING
+    @property
+    def _first_phase(self) -> Phase:
+        return Phase.COMPARING if self.write.wears_eeprom else Phase.WRITING
+
+    @property
+    def is_insistent(self) -> bool:
+        """Say whether it is at the stop itself, which is written until it is read back."""
+        return self.is_stop and self._place == 0
+
+    @property
+    def has_stopped(self) -> bool:
+        """Say whether the drive was seen to have taken the stop."""
+        return self.is_stop and (self.is_done or self._place > 0)
+
+    @property
+    def is_to_be_counted(self) -> bool:
+        """Say whether its next write has to be counted for good before it may be sent."""
+        return self.phase is Phase.RESERVING
+
+    @property
+    def is_acknowledged(self) -> bool:
+        """Say whether the drive has answered to the write, so that reading it back is next."""
+        return self.phase is Phase.VERIFYING
+
+    def plan(self, writes: Sequence[PlannedWrite]) -> None:
+        """Take what it comes to now that it is its turn."""
+        self.writes, self.is_begun = writes, True
+        self.phase = Phase.VERIFYING if self.was_announced else self._first_phase
+
+    def announced(self) -> None:
+        """Take note that a broadcast has told it to the drive already."""
+        self.was_announced = True
+        self.phase = Phase.VERIFYING
 
     def next(self, now: float) -> Request | None:
-        """Return the next frame; None when it is over, or its deadline has passed before anything was sent."""
-        if self.phase is not Phase.OVER and not self.is_persistent and now > self.command.deadline:
-            self._late()
-        if self.phase is Phase.OVER:
+        """Return the next frame; None when it is over, waits to be counted, or is too late."""
+        self._look_at(now)
+        if self.phase in (Phase.OVER, Phase.RESERVING):
             return None
         if self.phase is Phase.WRITING:
-            return self._write.request
-        return ReadWords(self._write.request.number, self._write.register.address)
+            return self.write.request
+        return ReadWords(self.write.request.number, self.write.register.address)
 
-    def _late(self) -> None:
-        if self.was_sent:
-            self.finish(Status.UNKNOWN, Reason.EXPIRED, "its deadline passed before it was read back")
+    def _look_at(self, now: float) -> None:
+        """End it where its deadline has passed: nothing is written later."""
+        if self.is_over or self.is_insistent or now <= self.command.deadline:
+            return
+        if self.phase is Phase.VERIFYING:
+            if now > self.command.deadline + READING_LATER:
+                self.finish(Status.UNKNOWN, Reason.EXPIRED, "it was not read back in time")
+        elif self.was_sent:
+            done = ", ".join(write.register.name for write in self.writes[: self._place])
+            self.finish(Status.FAILED, Reason.EXPIRED, f"too late for {self.write.register.name}; written: {done}")
         else:
             self.finish(Status.REFUSED, Reason.EXPIRED, "its deadline passed before it could be sent")
+
+    def reserved(self, problem: str = "") -> None:
+        """Take note that the write is counted, or why it cannot be."""
+        if self.phase is not Phase.RESERVING:
+            return
+        if problem:
+            self.finish(Status.FAILED if self.was_sent else Status.REFUSED, Reason.NO_STORE, problem)
+        else:
+            self.phase = Phase.WRITING
 
     def sending(self) -> None:
         """Take note that the frame of `next` leaves now."""
@@ -82,68 +145,89 @@ class Execution:
 
     def on_reply(self, reply: Reply | None) -> None:
         """Take an answer; None where no answer was to be expected."""
+        self._silences = 0
+        if self.is_over:
+            return
         if self.phase is Phase.WRITING:
-            if isinstance(self._write.request, WriteStored):
-                self.wore.append(self._write.register.address)
-            self.phase = Phase.VERIFYING if self._write.is_answered else Phase.OVER
-            if self.phase is Phase.OVER:
-                self.finish(Status.DONE, Reason.NONE, "a reset is not answered")
+            self.phase = Phase.VERIFYING
         elif isinstance(reply, Words):
             self._on_word(reply.words[0])
 
     def _on_word(self, word: int) -> None:
-        write = self._write
-        self.read_back[write.register.name] = word & write.register.mask
-        is_equal = write.reads_back(word)
+        name = self.write.register.name
+        is_equal = self.write.reads_back(word)
         if self.phase is Phase.COMPARING:
+            self.before[name] = word & self.write.register.mask
             if is_equal:
+                self.read_back[name] = word & self.write.register.mask
                 self._next_write()
             else:
-                self.phase = Phase.WRITING
-        elif is_equal:
+                self.phase = Phase.RESERVING
+            return
+        self.read_back[name] = word & self.write.register.mask
+        if is_equal:
             self._next_write()
-        elif self.is_persistent:
-            self._begin_write()
+        elif self.is_insistent:
+            self._in_vain(Reason.NOT_READ_BACK, f"{name} reads {word:04X}H")
         elif self._silent:
-            self.finish(Status.FAILED, Reason.NO_ANSWER, f"{self._silent}; it was not done")
+            self.finish(Status.FAILED, Reason.NO_ANSWER, f"{self._silent}; {name} reads {word:04X}H: not done")
         else:
-            self.finish(Status.FAILED, Reason.NOT_READ_BACK, f"{write.register.name} reads {word:04X}H")
+            self.finish(Status.FAILED, Reason.NOT_READ_BACK, f"{name} reads {word:04X}H")
+
+    def _in_vain(self, reason: Reason, text: str) -> None:
+        """Write a stop again, but not for ever."""
+        self._vain += 1
+        self.phase = Phase.WRITING
+        if self._vain >= VAIN_STOPS:
+            self.finish(Status.FAILED, reason, text)
 
     def _next_write(self) -> None:
-        self._silent = ""
+        self._silent, self._silences = "", 0
         if self._place + 1 < len(self.writes):
             self._place += 1
-            self._begin_write()
+            self.phase = self._first_phase
         else:
             self.finish(Status.DONE)
 
+    def on_tripped(self) -> None:
+        """Take that the drive is tripped: an emergency stop has then been obeyed, whatever FA00 reads."""
+        if self.is_stop and self.was_sent | self.was_announced and not self.is_over:
+            self.finish(Status.DONE, Reason.NONE, "the drive is tripped")
+
     def on_refused(self, refused: Refused) -> None:
         """Take a refusal."""
+        self._silences = 0
+        if self.is_over:
+            return
         if self.phase is Phase.VERIFYING:  # it can be written but not read
             self._next_write()
         elif self.phase is Phase.COMPARING:
-            self.phase = Phase.WRITING
+            self.phase = Phase.RESERVING
+        elif self.is_insistent and refused.reason is Refusal.UNABLE:
+            self._in_vain(Reason.REFUSED_BY_DRIVE, refused.reason.value)
         else:
-            self.finish(Status.FAILED, Reason.REFUSED_BY_DRIVE, refused.reason.value)
+            self.finish(Status.FAILED, Reason.REFUSED_BY_DRIVE, f"{self.write.register.name}: {refused.reason.value}")
 
     def on_silence(self, text: str) -> None:
         """Take silence or garbage: a write may have been done, which reading back tells."""
-        if self.phase is Phase.WRITING:
-            self._silent = text
+        self._silences += 1
+        if self.is_over:
+            return
+        if self.is_insistent:
+            self.phase = Phase.WRITING
+            if self._silences >= SILENT_STOPS:
+                self.finish(Status.UNKNOWN, Reason.NO_ANSWER, text)
+        elif self.phase is Phase.WRITING:
+            self._silent, self._silences = text, 0
             self.phase = Phase.VERIFYING
-        elif self.is_persistent:
-            self._begin_write()
-        elif self.was_sent:
-            self.finish(Status.UNKNOWN, Reason.NO_ANSWER, text)
-        else:
-            self.finish(Status.FAILED, Reason.NO_ANSWER, text)
+        elif self._silences >= READ_BACKS:
+            status = Status.UNKNOWN if self.was_sent else Status.REFUSED
+            self.finish(status, Reason.NO_ANSWER, text)
 
     def finish(self, status: Status, reason: Reason = Reason.NONE, text: str = "") -> None:
-        """Give the one result."""
-        if self._is_told:
+        """Give the one result; later calls give none."""
+        if self.is_over:
             return
-        self.phase = Phase.OVER
-        self._is_told = True
-        self.is_done = status is Status.DONE
-        raw = {write.register.name: write.word for write in self.writes}
-        self.answer(Result(self.command, status, reason, text, raw, dict(self.read_back)))
+        self.phase, self.status = Phase.OVER, status
+        raw = {write.register.name: write.word for write in self.writes} if self.was_sent or self.is_stop else {}
+        self.answer(Result(self.command, status, reason, text, raw, dict(self.read_back), dict(self.before)))

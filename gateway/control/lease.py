@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from gateway.control.command import Source
 
@@ -11,13 +11,14 @@ from gateway.control.command import Source
 class Lease:
     """The lease of one drive. Times are monotonic seconds; `duration` is how long it lasts without a sign of life.
 
-    A heartbeat counts only when it has changed: a retained or repeated one is no sign of life.
+    A heartbeat counts only when it has changed: a retained or repeated one is no sign of life, and the first one
+    after taking has nothing to differ from.
     """
 
     duration: float
     owner: Source | None = None
     until: float = 0.0
-    _beats: dict[Source, object] = field(default_factory=dict)
+    _beat: object = None
 
     def is_held(self, now: float) -> bool:
         """Say whether somebody may command now."""
@@ -27,34 +28,30 @@ class Lease:
         """Say whether it was held and ran out: the loss is still to be dealt with."""
         return self.owner is not None and now >= self.until
 
-    def may_take(self, source: Source, now: float) -> bool:
-        """Say whether a source holds it already, or may take it."""
-        return self.owner in (None, source) or not self.is_held(now)
-
     def take(self, source: Source, now: float) -> bool:
-        """Give it to a source, or renew it; False where another source holds it."""
-        if self.is_over(now) or not self.may_take(source, now):
+        """Give it to a source, or renew it; False where another holds it, or it has just run out."""
+        if self.is_over(now) or self.owner not in (None, source):
             return False
+        if self.owner is None:
+            self._beat = None
         self.owner, self.until = source, now + self.duration
         return True
 
+    def renew(self, now: float) -> None:
+        """Take a command of the owner as a sign of life; what has ended stays ended."""
+        if self.is_held(now):
+            self.until = max(self.until, now + self.duration)
+
     def beat(self, source: Source, beat: object, now: float) -> bool:
         """Take a heartbeat: a changed one of the owner renews; say whether it did."""
-        is_first, is_changed = source not in self._beats, self._beats.get(source) != beat
-        self._beats[source] = beat
-        if is_first or not is_changed or source != self.owner or not self.is_held(now):
+        if source != self.owner or not self.is_held(now):
             return False
-        self.until = now + self.duration
-        return True
-
-    def release(self, source: Source) -> bool:
-        """Give it back; False where the source does not hold it."""
-        if source != self.owner:
+        before, self._beat = self._beat, beat
+        if before is None or before == beat:
             return False
-        self.end()
+        self.until = max(self.until, now + self.duration)
         return True
 
     def end(self) -> None:
-        """End it: the loss is dealt with, or time has jumped (SAFETY.md H23)."""
-        self.owner = None
-        self._beats.clear()
+        """End it: it was given back, or its loss is being dealt with."""
+        self.owner, self._beat = None, None

@@ -7,8 +7,8 @@ from decimal import Decimal
 from enum import Enum
 from fnmatch import fnmatchcase
 
-from gateway.config import DriveSection, FallbackSection, RightSection
-from gateway.control.command import Channel, Command, Source
+from gateway.config import DriveSection, FallbackSection, RightSection, StoredWritesSection
+from gateway.control.command import GATEWAY, Channel, Command, Source
 from gateway.drives.register import Register
 
 TIMEOUT_ACTIONS = {"alarm": 0, "coast": 1, "stop": 2}  # F804 (E6581657 6.3)
@@ -66,6 +66,7 @@ class ControlSettings:
     timeout_detection: int | None
     is_unwatched: bool
     allow_stored: bool
+    stored_writes: StoredWritesSection
     least_frequency: Decimal
     greatest_frequency: Decimal
     command_timeout: float
@@ -76,7 +77,9 @@ class ControlSettings:
 
     def rights_of(self, command: Command) -> tuple[Right, ...] | None:
         """Return the rights that cover a command; None where none are configured, so that all is permitted."""
-        return tuple(right for right in self.rights if right.covers(command)) if self.rights else None
+        if not self.rights or command.source == GATEWAY:
+            return None
+        return tuple(right for right in self.rights if right.covers(command))
 
     def permits_verb(self, command: Command) -> bool:
         """Say whether the source may ask for this; stopping needs no right but that of writing."""
@@ -107,6 +110,7 @@ def settings_of(section: DriveSection) -> ControlSettings | None:
         timeout_detection=None if detection is None else TIMEOUT_DETECTIONS[detection],
         is_unwatched=section.unwatched,
         allow_stored=section.allow_stored,
+        stored_writes=section.stored_writes,
         least_frequency=_exact(section.frequency.min),
         greatest_frequency=_exact(section.frequency.max),
         command_timeout=section.command_timeout,

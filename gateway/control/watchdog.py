@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from decimal import Decimal
 
-from gateway.control.composing import COMMAND
+from gateway.control.composing import COMMAND, FREQUENCY
 from gateway.control.settings import ControlSettings
+from gateway.control.writes import limited_by
 from gateway.drives.model import Model
 from gateway.drives.register import Register
 from gateway.site import Drive
 
+OBSERVED = (COMMAND, "trip_code", "status", "reset_detection")  # FA00, FC90, FD01, FA87
 ROLES = ("timeout_action", "timeout_detection", "timeout")  # F804, F808, F803: the time last, which arms it
 
 
@@ -22,11 +24,17 @@ def registers(model: Model) -> dict[str, Register]:
 
 
 def control_registers(drive: Drive) -> list[Register]:
-    """Return what must be known of a drive before it is commanded: FA00 and its time-out; nothing where it is not."""
+    """Return what must be known of a drive before it is commanded; nothing where it is not.
+
+    FA00 first: whether it runs; then whether it is tripped, its reset mark, its time-out and its limits.
+    """
     if not drive.is_controlled:
         return []
-    command = drive.model.registers.get(COMMAND)
-    return [*([command] if command else []), *registers(drive.model).values()]
+    model = drive.model
+    frequency = model.registers.get(FREQUENCY)
+    limits = limited_by(model, frequency) if frequency is not None else ()
+    names = [name for name in OBSERVED if name in model.registers]
+    return [*(model.registers[name] for name in names), *registers(model).values(), *limits]
 
 
 def wanted(settings: ControlSettings, model: Model, facts: Mapping[str, int]) -> Iterator[tuple[Register, int]]:

@@ -12,7 +12,7 @@ import pytest
 
 from gateway.bus.worker import LineWorker
 from gateway.control.command import Channel, Command, Reason, Result, Source, Status, Verb
-from gateway.control.door import Door
+from gateway.control.door import Door, LineBell
 from gateway.sim.condition import TripCode
 from gateway.sim.faults import Fault, Kind
 from tests import virtual
@@ -77,7 +77,7 @@ def play(script: Callable[[Stage], Awaitable[None]], control: dict[str, Any] | N
             made.open,
             door.controls,
         )
-        door.connect({"d1": worker.ring})
+        door.connect(LineBell("a", ("d1",), worker.ring, worker.announce))
         stage = Stage(made, door)
         door.on_result(stage.results.append)
         door.on_event(lambda *event: stage.events.append(event))
@@ -127,9 +127,10 @@ def test_a_dead_controller_stops_the_motor() -> None:
         assert stage.hertz == 30.0
         await asyncio.sleep(2.1)
         assert not stage.bench.drive.inverter.operation.is_running
-        assert ("d1", "lease_lost", str(DASHBOARD)) in stage.events
+        assert ("d1", "lease_lost", f"the lease of {DASHBOARD} has ended") in stage.events
+        assert ("d1", "on_loss", "stop: done") in stage.events
         result = await stage.ask(Verb.RUN, value="10")
-        assert (result.status, result.reason) == (Status.REFUSED, Reason.NOT_ARMED)
+        assert (result.status, result.reason) == (Status.REFUSED, Reason.NOT_OWNER)
 
     play(script)
 
@@ -174,6 +175,7 @@ def test_the_watchdog_is_set_and_without_it_nothing_runs() -> None:
         assert (await stage.ask(Verb.ARM)).status is Status.DONE
 
     async def unarmed(stage: Stage) -> None:
+        assert (await stage.ask(Verb.TAKE)).status is Status.DONE
         result = await stage.ask(Verb.ARM)
         assert (result.status, result.reason) == (Status.REFUSED, Reason.NO_WATCHDOG)
 
@@ -186,6 +188,7 @@ def test_a_wild_setpoint_is_refused() -> None:
     """Beyond what is configured, never clamped."""
 
     async def script(stage: Stage) -> None:
+        assert (await stage.ask(Verb.TAKE)).status is Status.DONE
         result = await stage.ask(Verb.FREQUENCY, value="60.01")
         assert (result.status, result.reason) == (Status.REFUSED, Reason.RANGE)
         assert (await stage.ask(Verb.FREQUENCY, value="60.00")).status is Status.DONE
@@ -198,6 +201,7 @@ def test_a_known_id_acts_once() -> None:
     """The first result again, and no frame."""
 
     async def script(stage: Stage) -> None:
+        assert (await stage.ask(Verb.TAKE)).status is Status.DONE
         first = await stage.ask(Verb.FREQUENCY, value="20", id="7")
         second = await stage.ask(Verb.FREQUENCY, value="40", id="7")
         assert second is first

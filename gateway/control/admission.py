@@ -1,0 +1,126 @@
+"""What a command comes to, or why it is refused: rights, ranges, limits; validated whole (SAFETY.md H22)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from decimal import Decimal
+
+from gateway.control.command import Command, Reason, Verb
+from gateway.control.composing import COMMAND, FREQUENCY, NotComposable, compose, has_bit, runs
+from gateway.control.settings import ControlSettings
+from gateway.control.writes import Allowed, BadCommand, PlannedWrite, Why, limited_by, plan_write
+from gateway.drives.register import Register
+from gateway.site import Drive
+
+EXECUTIVE = (Verb.RUN, Verb.JOG, Verb.PRESET)  # what sets a motor in motion
+COMPOSED = frozenset(Verb) - {Verb.SET, Verb.WORDS, Verb.ARM, Verb.TAKE, Verb.RELEASE}
+SETPOINTS = (Verb.FREQUENCY, Verb.SPEED, Verb.ANALOG)  # of which only the newest matters
+
+REASONS = {
+    Why.READ_ONLY: Reason.READ_ONLY,
+    Why.FORBIDDEN: Reason.FORBIDDEN,
+    Why.KEYS: Reason.FORBIDDEN,
+    Why.RANGE: Reason.RANGE,
+    Why.STORED: Reason.STORED,
+    Why.NO_EFFECT: Reason.STORED,
+    Why.NO_FORM: Reason.FORBIDDEN,
+}
+
+
+class NotAdmitted(Exception):
+    """A command that is refused; `reason` is for programs."""
+
+    def __init__(self, reason: Reason, text: str) -> None:
+        super().__init__(text)
+        self.reason = reason
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """The writes of a command. `is_stop`: it goes ahead; `is_motion`: the drive must be armed for it."""
+
+    writes: tuple[PlannedWrite, ...]
+    is_stop: bool = False
+    is_motion: bool = False
+    is_reset: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Admission:
+    """The rules of one drive that do not change."""
+
+    drive: Drive
+    settings: ControlSettings
+
+    def check_right(self, command: Command) -> None:
+        """Refuse what the source may not ask for at all."""
+        if not self.settings.may_write(command.source):
+            raise NotAdmitted(Reason.NOT_PERMITTED, f"{command.source} may not write to {self.drive.name}")
+        if not self.settings.permits_verb(command):
+            raise NotAdmitted(Reason.NOT_PERMITTED, f"{command.source} has no right to {command.verb}")
+
+    def plan(self, command: Command, known: Mapping[str, int], *, is_own: bool) -> Plan:
+        """Return all the writes of a command, every one of them checked before the first frame.
+
+        `known` are words as the drive has them, by register name; `is_own` says that the source may command more
+        than stops.
+        """
+        model, allowed = self.drive.model, Allowed(stored=self.settings.allow_stored)
+        try:
+            steps = compose(command, model, known)
+            writes = tuple(
+                plan_write(model, self.drive.codec, self.drive.number, step.register, step.word, allowed, known)
+                for step in steps
+            )
+        except NotComposable as error:
+            raise NotAdmitted(error.reason, str(error)) from error
+        except BadCommand as error:
+            raise NotAdmitted(REASONS[error.why], str(error)) from error
+        for write in writes:
+            self._check_word(command, write.register, write.word)
+        is_raw_stop = command.verb in (Verb.SET, Verb.WORDS) and any(_stops(write, is_own=is_own) for write in writes)
+        if is_raw_stop:
+            writes = tuple(sorted(writes, key=lambda write: write.register.name != COMMAND))
+        return Plan(
+            writes,
+            is_stop=command.verb.is_stopping or is_raw_stop,
+            is_motion=command.verb in EXECUTIVE or any(_is_motion(write) for write in writes),
+            is_reset=any(not write.is_answered for write in writes),
+        )
+
+    def _check_word(self, command: Command, register: Register, word: int) -> None:
+        if not self.settings.permits(command, register, word):
+            raise NotAdmitted(Reason.NOT_PERMITTED, f"{command.source} has no right to {register.name} = {word:04X}H")
+        if register.name == FREQUENCY:
+            self._check_frequency(register.decode(word))
+
+    def _check_frequency(self, value: Decimal) -> None:
+        least, greatest = self.settings.least_frequency, self.settings.greatest_frequency
+        if not least <= value <= greatest:
+            raise NotAdmitted(Reason.RANGE, f"{value} Hz is outside {least} to {greatest} Hz, as configured")
+
+    def limits(self) -> tuple[Register, ...]:
+        """Return the registers that limit the frequency: FH, UL, LL as far as the model has them."""
+        frequency = self.drive.model.registers.get(FREQUENCY)
+        return limited_by(self.drive.model, frequency) if frequency is not None else ()
+
+
+def _stops(write: PlannedWrite, *, is_own: bool) -> bool:
+    """Say whether a raw word is a stop: a command word without motion that keeps the priority of commands.
+
+    One that gives the priority back may let the panel or the terminals start the motor: that is for the owner only.
+    """
+    register, word = write.register, write.word
+    if register.name != COMMAND or has_bit(register, word, "fault_reset"):
+        return False
+    if has_bit(register, word, "emergency_stop"):
+        return True
+    return not runs(register, word) and (is_own or has_bit(register, word, "command_priority"))
+
+
+def _is_motion(write: PlannedWrite) -> bool:
+    """Say whether a write runs the motor; a reset, which may let a signal of the terminals through, is no run."""
+    if write.register.name == COMMAND:
+        return runs(write.register, write.word) and write.may_start
+    return write.may_start and bool(write.register.bits) and write.is_answered
