@@ -68,6 +68,9 @@ class DriveStats:
     """One drive. `answers` is the time from the end of a request to the end of its answer.
 
     `eeprom_writes` counts requests that write the EEPROM, by communication number, whatever became of them.
+    `communication_timeout` is F803 in seconds, 0 where it is off or not known; `least_margin` is how close the gaps
+    between two answers came to it, inf before the first. `commands` counts results by status and reason, `events`
+    what happened to permission; `standing` says whether it may be set in motion, "" where nobody may command it.
     """
 
     exchanges: int = 0
@@ -78,6 +81,11 @@ class DriveStats:
     longest_gap: float = 0.0
     last_heard: float = float("-inf")
     eeprom_writes: Counter[int] = field(default_factory=Counter)
+    communication_timeout: float = 0.0
+    least_margin: float = float("inf")
+    commands: Counter[tuple[str, str]] = field(default_factory=Counter)
+    events: Counter[str] = field(default_factory=Counter)
+    standing: str = ""
 
 
 @dataclass(slots=True)

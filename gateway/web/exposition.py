@@ -6,6 +6,7 @@ import platform
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from math import isfinite
 from typing import Generic, TypeVar
 
 from prometheus_client.core import (
@@ -17,6 +18,8 @@ from prometheus_client.core import (
 )
 
 from gateway import __version__
+from gateway.control.drive_control import Standing
+from gateway.control.ledger import Ledger
 from gateway.image import DriveImage, Image, LinkState, Quality
 from gateway.metrics import DriveStats, Histogram, LineStats, MqttStats, Stats, TcpStats
 from gateway.site import Site
@@ -73,6 +76,11 @@ OF_DRIVES: tuple[Number[DriveStats], ...] = (
         "Longest time between two answers; the drive's F803 must be longer.",
         lambda drive: drive.longest_gap,
     ),
+    Number(
+        "tosvert_drive_communication_timeout_seconds",
+        "The drive's own communication time-out F803; 0 while it is off or not known.",
+        lambda drive: drive.communication_timeout,
+    ),
 )
 
 OF_MQTT: tuple[Number[MqttStats], ...] = (
@@ -80,6 +88,7 @@ OF_MQTT: tuple[Number[MqttStats], ...] = (
     Number("tosvert_mqtt_connects_total", "Connections made to the broker.", lambda mqtt: mqtt.connects),
     Number("tosvert_mqtt_published_total", "Messages handed to the broker.", lambda mqtt: mqtt.published),
     Number("tosvert_mqtt_dropped_total", "Messages dropped because the queue was full.", lambda mqtt: mqtt.dropped),
+    Number("tosvert_mqtt_inbox_dropped_total", "Commands that found no room.", lambda mqtt: mqtt.inbox_dropped),
     Number("tosvert_mqtt_waiting_messages", "Messages that wait for the broker.", lambda mqtt: mqtt.waiting),
 )
 
@@ -90,13 +99,30 @@ OF_MODBUS_TCP: tuple[Number[TcpStats], ...] = (
 )
 
 
-def families(site: Site, image: Image, stats: Stats, now: float) -> Iterator[Metric]:
+OF_STORES: tuple[Number[Ledger], ...] = (
+    Number(
+        "tosvert_store_problem",
+        "Whether writes to the EEPROM are refused since they cannot be counted.",
+        lambda ledger: bool(ledger.problem),
+    ),
+    Number(
+        "tosvert_store_audit_dropped_total",
+        "Rows of the audit that were dropped since the store did not take them.",
+        lambda ledger: ledger.dropped,
+    ),
+)
+
+
+def families(site: Site, image: Image, stats: Stats, now: float, ledger: Ledger | None = None) -> Iterator[Metric]:
     """Yield every metric family as it stands at `now` (monotonic seconds); documented in docs/monitoring.md."""
     build = {"version": __version__, "python": platform.python_version(), "gateway": site.config.gateway.name}
     yield InfoMetricFamily("tosvert_build", "Version of the gateway and of Python, and its name.", value=build)
     yield from _of_lines(site, stats)
     yield from _of_drives(site, stats)
+    yield from _of_control(site, stats)
     yield from _of_values([((i.drive.line, i.drive.name), i) for i in image.drives], now)
+    if ledger is not None:
+        yield from _of_store(site, ledger, now)
     if site.config.mqtt is not None:
         for number in OF_MQTT:
             yield number.family((), [((), stats.mqtt)])
@@ -124,12 +150,51 @@ def _of_drives(site: Site, stats: Stats) -> Iterator[Metric]:
     answers = ((of, drive.answers) for of, drive in each)
     text = "Time from the end of a request to the end of its answer."
     yield _histogram("tosvert_drive_answer_seconds", text, DRIVE, answers)
-    text = "Acknowledged writes to the drive's EEPROM (about 10,000 are allowed), by communication number."
+    text = "Requests since the start that write the drive's EEPROM, by communication number."
     writes = CounterMetricFamily("tosvert_drive_eeprom_writes_total", text, labels=(*DRIVE, "number"))
     for of, drive in each:
         for address, count in sorted(drive.eeprom_writes.items()):
             writes.add_metric((*of, f"{address:04X}"), count)
     yield writes
+
+
+def _of_control(site: Site, stats: Stats) -> Iterator[Metric]:
+    each = [((drive.line, drive.name), stats.drives.get(drive.name) or DriveStats()) for drive in site.drives]
+    text = "Least time that was left of F803 between two answers; absent while F803 is off or not known."
+    margins = GaugeMetricFamily("tosvert_drive_timeout_margin_seconds", text, labels=DRIVE)
+    text = "1 for how the drive stands to commands, 0 otherwise; absent where nobody may command it."
+    standings = GaugeMetricFamily("tosvert_drive_standing", text, labels=(*DRIVE, "standing"))
+    text = "Commands by how they ended, and why they were refused or failed."
+    commands = CounterMetricFamily("tosvert_drive_commands_total", text, labels=(*DRIVE, "status", "reason"))
+    text = "What happened to the permission to command the drive, by event."
+    events = CounterMetricFamily("tosvert_drive_control_events_total", text, labels=(*DRIVE, "event"))
+    for of, drive in each:
+        if isfinite(drive.least_margin):
+            margins.add_metric(of, drive.least_margin)
+        for standing in Standing if drive.standing else ():
+            standings.add_metric((*of, standing.value), standing.value == drive.standing)
+        for (status, reason), count in sorted(drive.commands.items()):
+            commands.add_metric((*of, status, reason), count)
+        for event, count in sorted(drive.events.items()):
+            events.add_metric((*of, event), count)
+    yield from (margins, standings, commands, events)
+
+
+def _of_store(site: Site, ledger: Ledger, now: float) -> Iterator[Metric]:
+    """Show what outlives the process; drives that are not configured any more are left out."""
+    for number in OF_STORES:
+        yield number.family((), [((), ledger)])
+    lines = {drive.name: drive.line for drive in site.drives}
+    text = "Writes to the drive's EEPROM ever counted (about 10,000 are allowed), by communication number."
+    writes = CounterMetricFamily("tosvert_drive_eeprom_lifetime_writes_total", text, labels=(*DRIVE, "number"))
+    text = "Time until a parameter will have been written 10,000 times, at the pace of the last day."
+    left = GaugeMetricFamily("tosvert_drive_eeprom_life_left_seconds", text, labels=(*DRIVE, "number"))
+    for (name, address), wear in sorted(ledger.wear.items()):
+        if name in lines:
+            of = (lines[name], name, f"{address:04X}")
+            writes.add_metric(of, wear.writes)
+            left.add_metric(of, wear.seconds_left(now))
+    yield from (writes, left)
 
 
 def _of_values(each: list[tuple[Labels, DriveImage]], now: float) -> Iterator[Metric]:

@@ -9,6 +9,7 @@ from html import escape
 from typing import Any
 
 from gateway import __version__
+from gateway.control.ledger import Ledger
 from gateway.image import DriveImage, Image, LinkState, Quality
 from gateway.metrics import LineStats, Stats
 from gateway.site import Site
@@ -107,8 +108,13 @@ def _with_age(name: str, seconds: float) -> str:
     return name if seconds == float("inf") else f"{name} ({seconds:.1f} s old)"
 
 
-def as_document(health: Health, site: Site, stats: Stats, now_utc: float) -> dict[str, Any]:
-    """Return the verdict as the JSON object that /healthz answers with."""
+def as_document(
+    health: Health, site: Site, stats: Stats, now_utc: float, ledger: Ledger | None = None
+) -> dict[str, Any]:
+    """Return the verdict as the JSON object that /healthz answers with.
+
+    How drives stand to commands, and a problem of the store, are shown and do not count: no value is older for it.
+    """
     document: dict[str, Any] = {
         "status": "ok" if health.is_well else "fail",
         "reasons": list(health.reasons),
@@ -126,6 +132,7 @@ def as_document(health: Health, site: Site, stats: Stats, now_utc: float) -> dic
                 "link": drive.link.word,
                 "age": None if drive.age is None else round(drive.age, 3),
                 "quality": drive.quality.word,
+                **_standing(stats, drive.name),
                 "reasons": list(drive.reasons),
             }
             for drive in health.drives
@@ -133,7 +140,14 @@ def as_document(health: Health, site: Site, stats: Stats, now_utc: float) -> dic
     }
     if site.config.mqtt is not None:
         document["mqtt"] = {"connected": stats.mqtt.is_connected}
+    if ledger is not None:
+        document["store"] = {"problem": ledger.problem, "audit_dropped": ledger.dropped}
     return document
+
+
+def _standing(stats: Stats, drive: str) -> dict[str, str]:
+    of = stats.drives.get(drive)
+    return {"control": of.standing} if of is not None and of.standing else {}
 
 
 def _utc(seconds: float) -> str:

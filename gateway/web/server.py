@@ -14,6 +14,7 @@ from prometheus_client.registry import Collector
 
 from gateway.clock import Clock
 from gateway.config import WebSection, address
+from gateway.control.ledger import Ledger
 from gateway.image import Image
 from gateway.metrics import Stats
 from gateway.ports import explain_bind_error
@@ -37,12 +38,21 @@ HEADERS = {
 class WebServer:
     """The web server of one gateway; it reads the image and the counters and never waits for the bus."""
 
-    def __init__(self, section: WebSection, image: Image, stats: Stats, site: Site, clock: Clock) -> None:
+    def __init__(
+        self,
+        section: WebSection,
+        image: Image,
+        stats: Stats,
+        site: Site,
+        clock: Clock,
+        ledger: Ledger | None = None,
+    ) -> None:
         self._host, self._port = address(section.listen)
         self._image = image
         self._stats = stats
         self._site = site
         self._clock = clock
+        self._ledger = ledger
         self._process = ProcessCollector(registry=None)
         self._listener: asyncio.Server | None = None
         application = web.Application()
@@ -87,7 +97,7 @@ class WebServer:
 
     async def _healthz(self, _: web.Request) -> web.Response:
         health = page.judge(self._site, self._image, self._stats, self._clock.now())
-        document = page.as_document(health, self._site, self._stats, self._clock.wall())
+        document = page.as_document(health, self._site, self._stats, self._clock.wall(), self._ledger)
         return web.json_response(document, status=200 if health.is_well else 503, dumps=_dumps)
 
     async def _metrics(self, _: web.Request) -> web.Response:
@@ -98,7 +108,7 @@ class WebServer:
         return web.Response(body=b"".join(parts), headers={"Content-Type": EXPOSITION})
 
     def _families(self) -> Iterable[Metric]:
-        yield from families(self._site, self._image, self._stats, self._clock.now())
+        yield from families(self._site, self._image, self._stats, self._clock.now(), self._ledger)
         yield from self._process.collect()
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from gateway import site
 from gateway.clock import Alarm
+from gateway.control.ledger import MemoryLedger
 from gateway.image import Image, LinkState
 from gateway.metrics import DriveStats, LineStats, Stats
 
@@ -64,6 +65,7 @@ class Rig:
     clock: StandingClock = field(default_factory=StandingClock)
     image: Image = field(init=False)
     stats: Stats = field(init=False)
+    ledger: MemoryLedger = field(default_factory=MemoryLedger)
 
     def __post_init__(self) -> None:
         self.image = Image(self.built.drives)

@@ -11,9 +11,11 @@ from prometheus_client.exposition import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
 from gateway import site
+from gateway.control.drive_control import Standing
+from gateway.control.wear import MEMORY, Wear
 from gateway.image import LinkState, Quality
 from gateway.web.exposition import families
-from tests.web.rig import Rig, table
+from tests.web.rig import NOW, Rig, table
 
 PAGE = Path(__file__).parents[2] / "docs" / "monitoring.md"
 ROW = re.compile(r"^\| `(tosvert_\w+)` \| (\w+) \| ([\w, ]*) ?\|", re.MULTILINE)
@@ -31,7 +33,8 @@ class Whole:
 
     def collect(self) -> list[Metric]:
         """Return the families now."""
-        return list(families(self.rig.built, self.rig.image, self.rig.stats, self.rig.clock.now()))
+        rig = self.rig
+        return list(families(rig.built, rig.image, rig.stats, rig.clock.now(), rig.ledger))
 
 
 def scraped(rig: Rig) -> dict[tuple[str, frozenset[tuple[str, str]]], float]:
@@ -68,10 +71,16 @@ def busy() -> Rig:
     pump.exchanges, pump.timeouts, pump.bad_replies, pump.refusals, pump.longest_gap = 500, 3, 1, 2, 0.41
     pump.answers.observe(0.02)
     pump.eeprom_writes.update({0x0875: 2})
+    pump.communication_timeout, pump.least_margin, pump.standing = 1.5, 0.9, "armed"
+    pump.commands.update({("done", ""): 7, ("refused", "not_owner"): 2})
+    pump.events.update(armed=3, lease_lost=1)
+    rig.ledger.wear["pump-1", 0x0875] = Wear(9000, 0.01, NOW)
+    rig.ledger.dropped = 6
     rig.image.by_name["pump-1"].set_tripped(True)
     rig.image.by_name["pump-1"].set_reset_needed(True)
     mqtt, tcp = rig.stats.mqtt, rig.stats.tcp
     mqtt.is_connected, mqtt.connects, mqtt.published, mqtt.dropped, mqtt.waiting = True, 2, 900, 4, 17
+    mqtt.inbox_dropped = 5
     tcp.connections, tcp.accepted, tcp.turned_away = 5, 9, 1
     tcp.requests.update({3: 700, 4: 20, 43: 1})
     tcp.exceptions.update({2: 6, 11: 8})
@@ -150,6 +159,7 @@ def test_northbound_counters_are_shown(busy: Rig) -> None:
     assert value(busy, "tosvert_mqtt_connects_total") == 2
     assert value(busy, "tosvert_mqtt_published_total") == 900
     assert value(busy, "tosvert_mqtt_dropped_total") == 4
+    assert value(busy, "tosvert_mqtt_inbox_dropped_total") == 5
     assert value(busy, "tosvert_mqtt_waiting_messages") == 17
     assert value(busy, "tosvert_modbus_tcp_connections") == 5
     assert value(busy, "tosvert_modbus_tcp_accepted_total") == 9
@@ -218,3 +228,60 @@ def test_trip_reset_and_eeprom_writes_are_told(busy: Rig) -> None:
     assert value(busy, "tosvert_drive_eeprom_writes_total", **here, number="0875") == 2
     busy.image.by_name["pump-1"].set_tripped(None)
     assert ("tosvert_drive_tripped", frozenset(here.items())) not in scraped(busy)
+
+
+def test_control_is_told_by_result_and_by_event(busy: Rig) -> None:
+    """Commands by how they ended and why; what happened to the permission by its name."""
+    here = {"line": "a", "drive": "pump-1"}
+    assert value(busy, "tosvert_drive_commands_total", **here, status="done", reason="") == 7
+    assert value(busy, "tosvert_drive_commands_total", **here, status="refused", reason="not_owner") == 2
+    assert value(busy, "tosvert_drive_control_events_total", **here, event="armed") == 3
+    assert value(busy, "tosvert_drive_control_events_total", **here, event="lease_lost") == 1
+
+
+@pytest.mark.parametrize("standing", list(Standing))
+def test_a_drive_stands_in_exactly_one_way_to_commands(busy: Rig, standing: Standing) -> None:
+    """1 for how it stands, 0 for the others; nothing of a drive that nobody may command."""
+    busy.stats.drives["pump-1"].standing = standing.value
+    name = "tosvert_drive_standing"
+    found = {of: value(busy, name, line="a", drive="pump-1", standing=of.value) for of in Standing}
+    assert found == {of: float(of is standing) for of in Standing}
+    assert {dict(labels)["drive"] for metric, labels in scraped(busy) if metric == name} == {"pump-1"}
+
+
+@pytest.mark.hazard("H06")
+def test_the_margin_to_the_communication_timeout_is_told(busy: Rig) -> None:
+    """How close it came, where there is a time-out; a drive without one has 0 and no margin."""
+    assert value(busy, "tosvert_drive_communication_timeout_seconds", line="a", drive="pump-1") == 1.5
+    assert value(busy, "tosvert_drive_timeout_margin_seconds", line="a", drive="pump-1") == 0.9
+    fan = {"line": "b", "drive": "fan"}
+    assert value(busy, "tosvert_drive_communication_timeout_seconds", **fan) == 0
+    assert ("tosvert_drive_timeout_margin_seconds", frozenset(fan.items())) not in scraped(busy)
+
+
+@pytest.mark.hazard("H08")
+def test_the_wear_of_each_parameter_is_told_with_what_is_left_of_it(busy: Rig) -> None:
+    """A thousand writes are left, at one in 100 s; without any writes for a day the pace is a third of that."""
+    here = {"line": "a", "drive": "pump-1", "number": "0875"}
+    assert value(busy, "tosvert_drive_eeprom_lifetime_writes_total", **here) == 9000
+    assert value(busy, "tosvert_drive_eeprom_life_left_seconds", **here) == pytest.approx(100_000)
+    busy.clock.moment += MEMORY
+    assert value(busy, "tosvert_drive_eeprom_life_left_seconds", **here) == pytest.approx(271_828, rel=1e-4)
+
+
+def test_a_drive_that_is_not_configured_any_more_has_no_wear_on_the_page(busy: Rig) -> None:
+    """Its count is kept, but its line is not known."""
+    busy.ledger.note("old-fan", 0x0010)
+    drives = {dict(labels).get("drive") for name, labels in scraped(busy) if "lifetime" in name}
+    assert drives == {"pump-1"}
+
+
+@pytest.mark.hazard("H35")
+def test_a_problem_of_the_store_is_told(busy: Rig) -> None:
+    """1 while stored writes are refused; what the audit lost is counted; without a store there is neither."""
+    assert value(busy, "tosvert_store_problem") == 0
+    busy.ledger.problem = "disk full"
+    assert value(busy, "tosvert_store_problem") == 1
+    assert value(busy, "tosvert_store_audit_dropped_total") == 6
+    without = families(busy.built, busy.image, busy.stats, busy.clock.now())
+    assert not [family.name for family in without if "store" in family.name or "lifetime" in family.name]

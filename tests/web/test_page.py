@@ -198,3 +198,21 @@ def test_the_start_page_says_that_it_is_no_safety_function() -> None:
     assert 'href="/metrics"' in text
     assert "<hall>" not in text
     assert "&lt;hall&gt;" in text
+
+
+@pytest.mark.hazard("H35")
+def test_a_problem_of_the_store_is_shown_and_makes_no_value_old(rig: Rig) -> None:
+    """The verdict is on the data; the problem stands beside it in words."""
+    rig.ledger.problem = "state.sqlite: the disk is full"
+    document = page.as_document(judged(rig), rig.built, rig.stats, WALL, rig.ledger)
+    assert document["status"] == "ok"
+    assert document["store"] == {"problem": "state.sqlite: the disk is full", "audit_dropped": 0}
+    assert "store" not in page.as_document(judged(rig), rig.built, rig.stats, WALL)
+
+
+def test_how_a_drive_stands_to_commands_is_shown_where_it_is_controlled(rig: Rig) -> None:
+    """Only a drive that somebody may command has a standing."""
+    rig.stats.drives["fan"].standing = "quiet"
+    drives = page.as_document(judged(rig), rig.built, rig.stats, WALL)["drives"]
+    assert drives["fan"]["control"] == "quiet"
+    assert "control" not in drives["pump-1"]
