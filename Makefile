@@ -9,6 +9,7 @@ TEST_ARGS =
 SOAK = 10
 LOCK_ARGS =
 BENCH_ARGS =
+PROVE_ARGS =
 UV = uv>=0.9,<1
 PIP = tools/quietly $(BIN)/python -m pip --disable-pip-version-check --no-input
 FROM_LOCK = install --require-hashes --no-deps
@@ -29,6 +30,7 @@ check: $(VENV)/.dev $(VENV)/.package ## lint, types, import contract, generated 
 		{ echo 'config/schema.json is not current: run `make generate`' >&2; exit 1; }
 	$(BIN)/python -m tools.locks
 	$(BIN)/python -m tools.licences --check
+	$(BIN)/python -m tools.hazards --check
 
 test: $(VENV)/.dev $(VENV)/.package programs ## all tests, with branch coverage (TEST_ARGS="-k web")
 	@PATH="$$PATH:/usr/sbin" $(BIN)/pytest -q --cov --cov-branch $(TEST_ARGS)
@@ -39,12 +41,17 @@ test-quick: $(VENV)/.dev $(VENV)/.package ## the tests that need no other progra
 soak: $(VENV)/.dev $(VENV)/.package programs ## the tests with ten times as many inputs (SOAK=100: a hundred times)
 	@PATH="$$PATH:/usr/sbin" TOSVERT_SOAK=$(SOAK) $(BIN)/pytest -q $(TEST_ARGS)
 
+prove: $(VENV)/.dev $(VENV)/.package programs ## prove that the tests of each hazard fail without its rule (PROVE_ARGS="H05")
+	@PATH="$$PATH:/usr/sbin" $(BIN)/python -m tools.prove $(PROVE_ARGS)
+	@$(BIN)/python -m tools.hazards
+
 bench: $(VENV)/.dev $(VENV)/.package ## measure line use, block forms, control cycles and MODBUS-TCP beside other programs
 	@$(BIN)/python -m bench.run $(BENCH_ARGS)
 
-generate: $(VENV)/.dev $(VENV)/.package ## write the generated files anew: JSON Schema, table of licences
+generate: $(VENV)/.dev $(VENV)/.package ## write the generated files anew: JSON Schema, table of licences, hazards
 	$(BIN)/tosvert-gateway schema > $(VENV)/schema.json && mv $(VENV)/schema.json config/schema.json
 	$(BIN)/python -m tools.licences
+	$(BIN)/python -m tools.hazards
 
 lock: $(VENV)/.dev ## bring the lock files up to pyproject.toml (LOCK_ARGS=--upgrade: to the newest versions)
 	@$(PIP) install '$(UV)'
@@ -82,4 +89,4 @@ $(VENV)/.package: $(VENV)/.made pyproject.toml
 	@$(PIP) install --no-deps --no-build-isolation -e .
 	@touch $@
 
-.PHONY: help demo check test test-quick soak bench generate lock programs clean
+.PHONY: help demo check test test-quick soak prove bench generate lock programs clean
