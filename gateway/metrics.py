@@ -90,13 +90,21 @@ class DriveStats:
 
 @dataclass(slots=True)
 class MqttStats:
-    """The MQTT side."""
+    """The MQTT side, and what controllers send by it.
+
+    `ignored` counts messages that mean nothing, `refused`, by reason, commands that did not come to the door, and
+    `untold` results and events that could not be told.
+    """
 
     is_connected: bool = False
     connects: int = 0
     published: int = 0
     dropped: int = 0
+    heard: int = 0
+    ignored: int = 0
     inbox_dropped: int = 0
+    refused: Counter[str] = field(default_factory=Counter)
+    untold: int = 0
     waiting: int = 0
 
 

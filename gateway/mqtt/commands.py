@@ -1,40 +1,76 @@
-"""Reads what controllers send: commands, values to be set, heartbeats; and writes what became of them.
+"""Reads what controllers send: commands, values to be set, heartbeats.
 
-Pure. A command that is retained, late or not understood is refused here, with its reason (SAFETY.md H01, H02).
+Pure. What is retained, late or not understood is refused here, with its reason (SAFETY.md H01, H02). A stop is taken
+whatever else its message says, and whatever the clocks say, unless it is an old one that the broker had kept.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from typing import Any
 
 from gateway.control.command import Channel, Command, Reason, Result, Source, Status, Verb
-from gateway.mqtt.payload import timestamp
+from gateway.drives import notation
+from gateway.drives.model import Model
+from gateway.mqtt import exact
+from gateway.mqtt.exact import NotExact
 
 COMMAND, SET, HEARTBEAT = "command", "set", "heartbeat"  # levels below a drive that are listened to
-RESULT, EVENT = "result", "event"  # levels below a drive that tell what came of it
-LARGEST = 4096  # bytes of a payload; no command needs more
-LONGEST_ID = 128
-SHORT_NAMES = {"frequency": Verb.FREQUENCY, "speed": Verb.SPEED, "terminals": Verb.TERMINALS, "analog": Verb.ANALOG}
-VALUE_KEYS = ("value", "frequency", "speed", "number")  # what carries a command's number
-KEYS = frozenset({"id", "command", "direction", "name", "issued", "expires", "source", *VALUE_KEYS})
+LINE = "line"  # the level before the name of a line
+MOST_WORDS = 16  # that one command may write
+KEPT = "it was retained: a command counts only when it is sent"
+
+COMMON = ("command", "id", "source", "issued", "expires")
+NUMBERS: Mapping[Verb, tuple[str, ...]] = {  # keys that carry a command's number; one of them may stand there
+    Verb.RUN: ("frequency", "value"),
+    Verb.FREQUENCY: ("frequency", "value"),
+    Verb.SPEED: ("speed", "value"),
+    Verb.PRESET: ("number", "value"),
+    Verb.ACCELERATION: ("number", "value"),
+    Verb.TERMINALS: ("value",),
+    Verb.ANALOG: ("value",),
+    Verb.SET: ("value",),
+}
+OTHERS: Mapping[Verb, tuple[str, ...]] = {
+    Verb.RUN: ("direction", "reverse"),
+    Verb.JOG: ("direction", "reverse"),
+    Verb.SET: ("name",),
+    Verb.WORDS: ("address", "words"),
+}
+KEYS = {verb: (*COMMON, *OTHERS.get(verb, ()), *NUMBERS.get(verb, ())) for verb in Verb}
+SET_KEYS = ("value", "id", "source", "issued", "expires")
+WORDED = (Verb.SET, Verb.TERMINALS)  # whose value may be a code, or bits by name
+SHORT_NAMES = {verb.value: verb for verb in NUMBERS if verb not in (Verb.RUN, Verb.SET)}  # set/frequency and the like
 DIRECTIONS = {"forward": False, "reverse": True}
 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A message as it came: its topic below `<base>/<gateway>/`, and whether the broker had kept it."""
+    """A message as it came, and what the broker says of it.
 
-    levels: tuple[str, ...]
+    `is_retained`: the broker had kept it. `is_repeated`: it may have been delivered before. `expiry`: seconds for
+    which it is still good. `response_topic` and `correlation` are for the answer (MQTT 5).
+    """
+
+    topic: str
     payload: bytes
     is_retained: bool = False
-    expiry: int | None = None  # seconds that the broker says it is still good for
-    response_topic: str = ""  # of MQTT 5
+    is_repeated: bool = False
+    expiry: int | None = None
+    response_topic: str = ""
     correlation: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """When a message came, monotonic and UTC seconds; how long a command is good for, and how old it may be."""
+
+    now: float
+    wall: float
+    good_for: float
+    max_age: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,176 +83,219 @@ class Beat:
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
-    """When a message came: monotonic and UTC seconds, and how long a command is good for by default."""
+class LineStop:
+    """A stop of every drive of a line."""
 
-    now: float
-    wall: float
-    good_for: float
+    line: str
+    command: Command
 
 
-class NotUnderstood(Exception):
-    """A message that is no command; `reason` is for programs."""
+Read = Command | Beat | LineStop | Result
+
+
+class NotTaken(Exception):
+    """A message that is understood and yet not carried out; `reason` is for programs."""
 
     def __init__(self, reason: Reason, text: str) -> None:
         super().__init__(text)
         self.reason = reason
 
 
-def read(message: Message, moment: Moment) -> Command | Beat | Result | None:
-    """Return what a message asks for, its refusal, or None where it is none of ours."""
-    drive, kind = message.levels[0], message.levels[1] if len(message.levels) > 1 else ""
+@dataclass(frozen=True, slots=True)
+class _Letter:
+    """A message that is being read: the last level of its topic, the drive's model, the command so far."""
+
+    name: str
+    message: Message
+    moment: Moment
+    model: Model | None
+    blank: Command
+
+
+def read(message: Message, levels: Sequence[str], moment: Moment, model: Model | None = None) -> Read | None:
+    """Return what a message asks for, its refusal, or None where it is neither a command nor a sign of life.
+
+    `levels` are those of its topic below `<base>/<gateway>/`; `model` is that of the drive, where there is one.
+    """
+    take: Callable[[_Letter, Any], Read]
+    match levels:
+        case (drive, "heartbeat"):
+            return _beat(drive, message, moment)
+        case (drive, "command"):
+            take = _command
+        case ("line", line, "command"):
+            drive, take = f"{LINE}/{line}", _line_stop
+        case (drive, "set", _):
+            take = _setting
+        case _:
+            return None
     blank = Command(drive, Verb.SET, Source(Channel.MQTT), moment.now, moment.now + moment.good_for)
-    if kind == HEARTBEAT and len(message.levels) == 2:
-        return None if message.is_retained else _beat(drive, message.payload)
-    if kind not in (COMMAND, SET) or len(message.levels) != (2 if kind == COMMAND else 3):
+    document: dict[str, Any] | str = ""
+    try:
+        document = exact.document(message.payload)
+        if message.is_retained:
+            raise NotTaken(Reason.RETAINED, KEPT)
+        return take(_Letter(levels[-1], message, moment, model, blank), document)
+    except NotExact as error:
+        reason, text = (Reason.RETAINED, KEPT) if message.is_retained else (Reason.MALFORMED, str(error))
+    except NotTaken as error:
+        reason, text = error.reason, str(error)
+    return Result(_named(blank, _table(document)), Status.REFUSED, reason, text)
+
+
+def _beat(drive: str, message: Message, moment: Moment) -> Beat | None:
+    """Read a heartbeat: any payload, or JSON with `source` where its owner has a name, and `issued`."""
+    if message.is_retained or len(message.payload) > exact.LARGEST:
         return None
-    try:
-        return _command(message, blank, moment)
-    except NotUnderstood as error:
-        known = replace(blank, id=_id_of(message.payload))
-        return Result(known, Status.REFUSED, error.reason, str(error))
-
-
-def _beat(drive: str, payload: bytes) -> Beat:
-    """Read a heartbeat: any payload, or JSON with `source` where several controllers share a drive."""
-    table = _table(payload)
-    name = table.get("source") if table else None
-    return Beat(drive, Source(Channel.MQTT, name if isinstance(name, str) else ""), payload[:LARGEST])
-
-
-def _command(message: Message, blank: Command, moment: Moment) -> Command:
-    if message.is_retained:
-        raise NotUnderstood(Reason.RETAINED, "it was retained: a command counts only when it is sent")
-    if len(message.payload) > LARGEST:
-        raise NotUnderstood(Reason.MALFORMED, f"{len(message.payload)} bytes; at most {LARGEST}")
-    table = _table(message.payload)
-    if message.levels[1] == SET:
-        return _setting(message, table, blank, moment)
-    if table is None:
-        table = {"command": _text(message.payload).strip()}
-    return _typed(table, blank, moment, message.expiry)
-
-
-def _table(payload: bytes) -> dict[str, Any] | None:
-    """Return a JSON object with exact numbers; None where it is something else."""
-    try:
-        table = json.loads(payload, parse_float=Decimal, parse_int=Decimal)
-    except (ValueError, RecursionError):
-        return None
-    return table if isinstance(table, dict) else None
-
-
-def _text(payload: bytes) -> str:
-    try:
-        return payload.decode()
-    except UnicodeDecodeError:
-        raise NotUnderstood(Reason.MALFORMED, "neither text nor JSON") from None
-
-
-def _id_of(payload: bytes) -> str:
-    table = _table(payload[:LARGEST]) or {}
-    known = table.get("id", "")
-    return str(known)[:LONGEST_ID] if isinstance(known, str | Decimal) else ""
-
-
-def _setting(message: Message, table: dict[str, Any] | None, blank: Command, moment: Moment) -> Command:
-    """Read a value to be set: plain, or JSON with `value`."""
-    name = message.levels[2]
-    if table is None:
-        table = {"value": _text(message.payload).strip()}
-    if "value" not in table:
-        raise NotUnderstood(Reason.MALFORMED, 'a value is wanted: 30.0, or {"value": 30.0, "id": "42"}')
-    command = _common(table, blank, moment, message.expiry)
-    verb = SHORT_NAMES.get(name, Verb.SET)
-    return replace(command, verb=verb, name=name, **_value(table["value"], may_be_text=verb is Verb.SET))
-
-
-def _typed(table: Mapping[str, Any], blank: Command, moment: Moment, expiry: int | None) -> Command:
-    if unknown := sorted(set(table) - KEYS):
-        raise NotUnderstood(Reason.MALFORMED, f"unknown key {unknown[0]!r}; known: {', '.join(sorted(KEYS))}")
-    word = table.get("command")
-    if word not in set(Verb) - {Verb.WORDS}:
-        known = ", ".join(verb for verb in Verb if verb is not Verb.WORDS)
-        raise NotUnderstood(Reason.MALFORMED, f"command {word!r} is not known; known: {known}")
-    direction = table.get("direction", "forward")
-    if direction not in DIRECTIONS:
-        raise NotUnderstood(Reason.MALFORMED, f"direction {direction!r}: forward or reverse")
-    command = replace(_common(table, blank, moment, expiry), verb=Verb(word), is_reverse=DIRECTIONS[direction])
-    numbers = [table[key] for key in VALUE_KEYS if key in table]
-    if len(numbers) > 1:
-        raise NotUnderstood(Reason.MALFORMED, f"only one of {', '.join(VALUE_KEYS)}")
-    if command.verb is Verb.SET and not isinstance(table.get("name"), str):
-        raise NotUnderstood(Reason.MALFORMED, "set needs a name and a value")
-    value = _value(numbers[0], may_be_text=command.verb is Verb.SET) if numbers else {}
-    return replace(command, name=str(table.get("name", "")), **value)
-
-
-def _value(value: object, *, may_be_text: bool) -> dict[str, Any]:
-    """Return a number exactly as it was written, or a code or bits by name."""
-    if isinstance(value, Decimal) and value.is_finite():
-        return {"value": value}
-    if isinstance(value, str):
+    name = ""
+    if message.payload.lstrip().startswith(b"{"):
         try:
-            number = Decimal(value)
-        except InvalidOperation:
-            if may_be_text and value:
-                return {"text": value}
-        else:
-            if number.is_finite():
-                return {"value": number}
-    raise NotUnderstood(Reason.MALFORMED, f"{value!r} is no number")
+            table = _table(exact.document(message.payload))
+            _check_age(table, moment)
+            name = exact.name(table.get("source", ""), "source")
+        except (NotExact, NotTaken):
+            return None
+    return Beat(drive, Source(Channel.MQTT, name), message.payload)
 
 
-def _common(table: Mapping[str, Any], blank: Command, moment: Moment, expiry: int | None) -> Command:
+def _table(document: dict[str, Any] | str) -> dict[str, Any]:
+    return {"command": document} if isinstance(document, str) else document
+
+
+def _named(blank: Command, table: Mapping[str, Any]) -> Command:
+    """Return the command with what of its verb, id and source can be told: enough for a stop, and for an answer."""
+    found: dict[str, Any] = {}
+    for key in ("id", "source"):
+        try:
+            name = exact.name(table.get(key, ""), key)
+        except NotExact:
+            continue
+        found[key] = Source(Channel.MQTT, name) if key == "source" else name
+    verb = _verb(table.get("command"))
+    return replace(blank, verb=verb or blank.verb, **found)
+
+
+def _verb(word: object) -> Verb | None:
+    """Return the command of that name, whatever its case: "Emergency-Stop" is one."""
+    known = word.strip().lower().replace("-", "_").replace(" ", "_") if isinstance(word, str) else None
+    return Verb(known) if known in set(Verb) else None
+
+
+def _command(letter: _Letter, document: dict[str, Any] | str) -> Command:
+    table = _table(document)
+    word = table.get("command")
+    verb = _verb(word)
+    if verb is None:
+        raise NotExact(f"command {exact.shown(word)} is not known; known: {', '.join(Verb)}")
+    if verb.is_stopping:
+        return _named(letter.blank, table)
+    exact.known_keys(table, KEYS[verb])
+    command = replace(_common(letter, table), verb=verb, is_reverse=_is_reverse(table))
+    if verb is Verb.WORDS:
+        return replace(command, **_words(letter, table))
+    if verb is Verb.SET:
+        command = replace(command, name=_register(letter, exact.name(table.get("name", ""), "name")))
+    return replace(command, **_value(verb, table))
+
+
+def _line_stop(letter: _Letter, document: dict[str, Any] | str) -> LineStop:
+    table = _table(document)
+    command = _named(letter.blank, table)
+    if not command.verb.is_stopping:
+        known = ", ".join(verb for verb in Verb if verb.is_stopping)
+        raise NotExact(f"command {exact.shown(table.get('command'))}: a line takes only {known}")
+    return LineStop(command.drive.removeprefix(f"{LINE}/"), command)
+
+
+def _setting(letter: _Letter, document: dict[str, Any] | str) -> Command:
+    """Read a value to be set: plain, or JSON with `value`."""
+    table = {"value": document} if isinstance(document, str) else document
+    exact.known_keys(table, SET_KEYS)
+    name = letter.name
+    verb = SHORT_NAMES.get(name, Verb.SET)
+    named = name if verb is not Verb.SET else _register(letter, name)
+    return replace(_common(letter, table), verb=verb, name=named, **_value(verb, table))
+
+
+def _common(letter: _Letter, table: Mapping[str, Any]) -> Command:
     """Read who asks, the id, and until when it is good."""
-    name = table.get("source", "")
-    if not isinstance(name, str) or len(name) > LONGEST_ID:
-        raise NotUnderstood(Reason.MALFORMED, "source is a short text")
-    deadline = blank.deadline
+    source = exact.name(table.get("source", ""), "source")
+    known = exact.name(table.get("id", ""), "id")
+    if letter.message.is_repeated and not known:
+        raise NotTaken(Reason.EXPIRED, "it was delivered again, and has no id to tell whether it was done before")
+    deadline = _deadline(table, letter.message.expiry, letter.moment)
+    return replace(letter.blank, source=Source(Channel.MQTT, source), id=known, deadline=deadline)
+
+
+def _deadline(table: Mapping[str, Any], expiry: int | None, moment: Moment) -> float:
+    """Return until when a command may be carried out, monotonic; NotTaken where that is over (SAFETY.md H02)."""
+    _check_age(table, moment)
+    left = [moment.good_for]
     if expiry is not None:
-        deadline = min(deadline, moment.now + expiry)
-    if "issued" in table and moment.wall - _time(table["issued"]) > moment.good_for:
-        raise NotUnderstood(Reason.EXPIRED, f"issued {timestamp(_time(table['issued']))}: too old")
+        left.append(expiry)
     if "expires" in table:
-        left = _time(table["expires"]) - moment.wall
-        if left <= 0:
-            raise NotUnderstood(Reason.EXPIRED, f"it expired {-left:.3f} s before it came")
-        deadline = min(deadline, moment.now + left)
-    known = table.get("id", "")
-    if not isinstance(known, str | Decimal) or len(str(known)) > LONGEST_ID:
-        raise NotUnderstood(Reason.MALFORMED, "id is a short text")
-    return replace(blank, source=Source(Channel.MQTT, name), id=str(known), deadline=deadline)
+        left.append(exact.moment(table["expires"], "expires") - moment.wall)
+    if min(left) <= 0:
+        raise NotTaken(Reason.EXPIRED, f"it expired {-min(left):.1f} s before it came")
+    return moment.now + min(left)
 
 
-def _time(value: object) -> float:
-    """Return UTC seconds from ISO 8601 or from a number of seconds."""
-    if isinstance(value, Decimal):
-        return float(value)
-    try:
-        moment = datetime.fromisoformat(str(value))
-    except ValueError:
-        raise NotUnderstood(Reason.MALFORMED, f"{value!r} is no time: 2026-03-01T12:00:00Z") from None
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+def _check_age(table: Mapping[str, Any], moment: Moment) -> None:
+    if "issued" not in table:
+        return
+    age = moment.wall - exact.moment(table["issued"], "issued")
+    if age > moment.max_age:
+        raise NotTaken(Reason.EXPIRED, f"issued {age:.1f} s ago; at most {moment.max_age:g} s (mqtt.command_max_age)")
+    if age < -moment.max_age:
+        text = f"issued {-age:.1f} s in the future: set the clock of the controller, or of the gateway"
+        raise NotTaken(Reason.EXPIRED, text)
 
 
-def result(outcome: Result, wall: float) -> str:
-    """Return what is published of a result."""
-    command = outcome.command
-    table: dict[str, Any] = {
-        "id": command.id,
-        "command": str(command.verb),
-        "source": str(command.source),
-        "status": str(outcome.status),
-        "reason": str(outcome.reason) or None,
-        "text": outcome.text or None,
-        "raw": dict(outcome.raw),
-        "read_back": dict(outcome.read_back),
-        "time": timestamp(wall),
-    }
-    return json.dumps({key: value for key, value in table.items() if value not in (None, "", {})})
+def _is_reverse(table: Mapping[str, Any]) -> bool:
+    """Read `direction`, or `reverse`, which must not contradict each other."""
+    said = set()
+    if "direction" in table:
+        direction = table["direction"]
+        if not isinstance(direction, str) or direction not in DIRECTIONS:
+            raise NotExact(f"direction {exact.shown(direction)}: forward or reverse")
+        said.add(DIRECTIONS[direction])
+    if "reverse" in table:
+        said.add(exact.boolean(table["reverse"], "reverse"))
+    if len(said) > 1:
+        raise NotExact("direction and reverse contradict each other")
+    return True in said
 
 
-def event(kind: str, reason: str, wall: float) -> str:
-    """Return what is published of an event."""
-    return json.dumps({"event": kind, "reason": reason, "time": timestamp(wall)})
+def _value(verb: Verb, table: Mapping[str, Any]) -> dict[str, Any]:
+    """Read a command's number, or the words of a code or of bits."""
+    keys = NUMBERS.get(verb, ())
+    given = [key for key in keys if key in table]
+    if len(given) > 1:
+        raise NotExact(f"only one of {', '.join(given)}")
+    if not given:
+        if keys and verb is not Verb.RUN:
+            raise NotExact(f"{verb} needs {' or '.join(keys)}")
+        return {}
+    value = table[given[0]]
+    found = exact.number_or_words(value) if verb in WORDED else exact.number(value)
+    return {"value": found} if isinstance(found, Decimal) else {"text": found}
+
+
+def _words(letter: _Letter, table: Mapping[str, Any]) -> dict[str, Any]:
+    """Read raw words from a register on, which is given by its name, number or name on the panel."""
+    text = exact.name(table.get("address", ""), "address")
+    register = notation.find(letter.model, text) if letter.model is not None else None
+    if register is None and letter.model is not None:
+        raise NotTaken(Reason.NOT_IN_MODEL, f"{letter.model.name} has no register {exact.shown(text)}")
+    address = 0 if register is None else register.address
+    return {"address": address, "words": exact.words(table.get("words"), MOST_WORDS)}
+
+
+def _register(letter: _Letter, text: str) -> str:
+    """Return the name of the register that is given by its name, number or name on the panel."""
+    if letter.model is None:
+        return text
+    register = notation.find(letter.model, text)
+    if register is None:
+        raise NotTaken(Reason.NOT_IN_MODEL, f"{letter.model.name} has no register {exact.shown(text)}")
+    return register.name

@@ -1,6 +1,6 @@
 """One connection to the broker, driven by the event loop: what is sent, what is on its way, how it ends.
 
-paho's own client is handed in: only the bridge imports it.
+paho's own client is handed in, made elsewhere.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import logging
 import socket
 import ssl
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,7 @@ from gateway.config import MqttSection
 from gateway.errors import GatewayError
 from gateway.metrics import MqttStats
 from gateway.mqtt import reasons
+from gateway.mqtt.commands import Message
 from gateway.mqtt.publisher import FOR_EVER
 
 log = logging.getLogger("gateway.mqtt")
@@ -27,13 +28,17 @@ ANSWER_LIMIT = 10.0  # seconds from CONNECT to CONNACK
 LEAVE_LIMIT = 2.0  # seconds from the last words to the end
 LARGEST_OVERHEAD = 32  # bytes of a PUBLISH beside topic and payload
 NO_RECEIVE_MAXIMUM = 65_535  # messages of QoS 1 and 2 under way (MQTT 5 3.2.2.3.3)
-INBOX = 256  # messages of the broker that may wait to be looked at
 PACKET_IDS = 60_000  # messages of QoS 1 and 2 that can be told apart, with a margin
+RESERVE = 256  # messages beyond the queue that may tell what became of commands: values must not keep that back
+READ_AT_ONCE = 8  # messages that are read at a stretch: well below a millisecond, so that no line waits for a flood
+LARGEST_PACKET = 64 * 1024  # bytes that the broker may send in one packet
+TOO_LARGE = "the broker sent a packet of %d bytes; no command needs more than %d"
 CALLBACKS = (
     "on_connect",
     "on_disconnect",
     "on_publish",
     "on_message",
+    "on_subscribe",
     "on_socket_close",
     "on_socket_register_write",
 )
@@ -65,25 +70,22 @@ class LastError(logging.Logger):
 class Made:
     """A paho client that has sent its CONNECT, and what goes with it.
 
-    `expiry` makes the properties of a message that the broker may forget after so many seconds; None where
-    the protocol has no such thing.
+    `expiry` makes the properties of a message that the broker may forget after so many seconds, and `correlation`
+    those of an answer; both make None where the protocol has no such thing.
     """
 
     client: Any
     errors: LastError
     expiry: Callable[[int], Any]
+    correlation: Callable[[bytes], Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
-    """A message of the broker as it came."""
+class Ears:
+    """Who hears what the broker sends: `hear` each message, `pause` when those of one stretch are read."""
 
-    topic: str
-    payload: bytes
-    is_retained: bool
-    expiry: int | None
-    response_topic: str
-    correlation: bytes
+    hear: Callable[[Message], None]
+    pause: Callable[[], None]
 
 
 class Connection:
@@ -100,16 +102,20 @@ class Connection:
         self._client = made.client
         self._errors = made.errors
         self._make_expiry = made.expiry
+        self._correlate = made.correlation
         self._answer: Any = None
         self._stats = stats
         self._qos = section.qos
         self._expiries: dict[int, Any] = {FOR_EVER: None}
         self._on_their_way: deque[Any] = deque()
+        self._told: deque[Any] = deque()  # those of them that tell what became of commands
         self._unwritten = 0
+        self._is_flushing_soon = False
         self._largest: int | None = None
         self._was_refused = False
-        self._inbox: deque[Heard] = deque(maxlen=INBOX)
-        self._hear: Callable[[Heard], None] | None = None
+        self._heard: list[Message] = []
+        self._ears: Ears | None = None
+        self._subscribed: dict[int, list[str]] = {}
         self._news = asyncio.Event()
         self._wanted_room = 0
         self._error: Exception | None = None
@@ -125,6 +131,7 @@ class Connection:
         client.on_socket_close = self._on_socket_close
         client.on_socket_register_write = _do_nothing  # it keeps paho from writing message by message
         client.on_message = self._on_message
+        client.on_subscribe = self._on_subscribe
         if self._qos:
             client.on_publish = self._on_publish
         sock = client.socket()
@@ -155,20 +162,29 @@ class Connection:
             log.warning("the broker refuses messages: %s", reasons.of_code(code.value, code.getName()))
 
     def _on_message(self, _client: Any, _data: Any, message: Any) -> None:
-        """Take note of a message; of a flood the oldest are forgotten, which only the latest could matter against."""
-        if len(self._inbox) == INBOX:
-            self._stats.inbox_dropped += 1
+        """Take note of a message; one whose topic is no text is none of ours."""
+        try:
+            topic = message.topic
+        except UnicodeDecodeError:
+            self._stats.ignored += 1
+            return
         known = getattr(message, "properties", None)
-        self._inbox.append(
-            Heard(
-                topic=message.topic,
+        self._heard.append(
+            Message(
+                topic=topic,
                 payload=bytes(message.payload),
                 is_retained=bool(message.retain),
+                is_repeated=bool(message.dup),
                 expiry=getattr(known, "MessageExpiryInterval", None),
                 response_topic=getattr(known, "ResponseTopic", ""),
                 correlation=getattr(known, "CorrelationData", b""),
             )
         )
+
+    def _on_subscribe(self, _client: Any, _data: Any, mid: int, codes: Sequence[Any], _properties: Any) -> None:
+        for topic, code in zip(self._subscribed.pop(mid, ()), codes, strict=False):
+            if code.is_failure:
+                log.warning("no commands by %s: %s", topic, reasons.of_subscription(code.value, code.getName()))
 
     def _on_socket_close(self, _client: Any, _data: Any, _sock: Any) -> None:
         self._detach()
@@ -184,25 +200,47 @@ class Connection:
 
     def _readable(self) -> None:
         try:
-            self._client.loop_read()
-            while self._has_pending():
-                self._client.loop_read()
+            self._read()
             self._hand_over()
             self.flush()
         except Exception as error:
             self.fail(error)
 
+    def _read(self) -> None:
+        """Read some messages; what is left makes the socket readable again, but for what TLS has read already."""
+        for _ in range(READ_AT_ONCE):
+            before = len(self._heard)
+            self._client.loop_read()
+            self._refuse_large_packet()
+            if self.lost is not None:
+                return
+            if len(self._heard) == before and not self._has_pending():
+                return
+        if self._has_pending():
+            self._loop.call_soon(self._readable)
+
+    def _refuse_large_packet(self) -> None:
+        """End the connection before paho collects a packet of up to 256 MiB: MQTT 3.1.1 cannot forbid them."""
+        size = self._client._in_packet["remaining_length"]
+        if size > LARGEST_PACKET and self.lost is None:
+            self.lost = TOO_LARGE % (size, LARGEST_PACKET)
+            self._detach()
+            self._news.set()
+
     def _hand_over(self) -> None:
         """Hand on what has come, outside of paho's lock."""
-        while self._inbox:
-            heard = self._inbox.popleft()
-            if self._hear is not None:
-                self._hear(heard)
+        heard, self._heard = self._heard, []
+        if self._ears is None or not heard:
+            return
+        for message in heard:
+            self._ears.hear(message)
+        self._ears.pause()
 
-    def listen(self, subscriptions: Any, hear: Callable[[Heard], None]) -> None:
-        """Subscribe, and hand every message that comes to `hear`."""
-        self._hear = hear
-        self._client.subscribe(subscriptions)
+    def listen(self, subscriptions: Sequence[tuple[str, Any]], ears: Ears) -> None:
+        """Subscribe, and hand every message that comes to `ears`."""
+        self._ears = ears
+        _, mid = self._client.subscribe(list(subscriptions))
+        self._subscribed[mid] = [topic for topic, _ in subscriptions]
         self.flush()
 
     def _has_pending(self) -> bool:
@@ -211,6 +249,7 @@ class Connection:
         return isinstance(sock, ssl.SSLSocket) and sock.pending() > 0
 
     def _writable(self) -> None:
+        self._is_flushing_soon = False
         try:
             self.flush()
         except Exception as error:
@@ -247,8 +286,10 @@ class Connection:
         waiting = self._on_their_way
         if is_all_written and not self._qos:
             waiting.clear()
-        while waiting and waiting[0].is_published():
-            waiting.popleft()
+            self._told.clear()
+        for sent in (waiting, self._told):
+            while sent and sent[0].is_published():
+                sent.popleft()
         self._stats.waiting = len(waiting)
         if self._wanted_room and self.room >= self._wanted_room:
             self._news.set()
@@ -267,19 +308,41 @@ class Connection:
 
     def send(self, topic: str, text: str, *, retain: bool, expiry: int) -> None:
         """Hand a message to paho; `flush` writes it."""
-        if self._largest is not None and len(topic) + len(text.encode()) + LARGEST_OVERHEAD > self._largest:
+        if self._is_too_large(topic, text):
             self._stats.dropped += 1
-            log.warning("%s: larger than the %d bytes that the broker takes", topic, self._largest)
-            return
-        self._on_their_way.append(self._client.publish(topic, text, self._qos, retain, self._expiry(expiry)))
+        else:
+            self._publish(topic, text, retain, self._expiry(expiry))
+
+    def _is_too_large(self, topic: str, text: str) -> bool:
+        if self._largest is None or len(topic) + len(text.encode()) + LARGEST_OVERHEAD <= self._largest:
+            return False
+        log.warning("%s: larger than the %d bytes that the broker takes", topic, self._largest)
+        return True
+
+    def _publish(self, topic: str, text: str, retain: bool, properties: Any) -> None:
+        self._on_their_way.append(self._client.publish(topic, text, self._qos, retain, properties))
         self._unwritten += 1
         self._stats.published += 1
 
-    def reply(self, topic: str, text: str, properties: Any) -> None:
-        """Hand an answer to paho, with properties of its own; `flush` writes it."""
-        self._on_their_way.append(self._client.publish(topic, text, self._qos, False, properties))
-        self._unwritten += 1
-        self._stats.published += 1
+    # What the listener does.
+
+    def say(self, topic: str, text: str, *, expiry: int) -> bool:
+        """Hand what happened to paho, and write it; False where too much is on its way."""
+        return self._tell(topic, text, self._expiry(expiry))
+
+    def reply(self, topic: str, text: str, correlation: bytes) -> bool:
+        """Hand an answer to paho, and write it; False where too much is on its way."""
+        return self._tell(topic, text, self._correlate(correlation))
+
+    def _tell(self, topic: str, text: str, properties: Any) -> bool:
+        if self.room <= -RESERVE or self.lost is not None or self._is_too_large(topic, text):
+            return False
+        self._publish(topic, text, retain=False, properties=properties)
+        self._told.append(self._on_their_way[-1])
+        if not self._is_flushing_soon:
+            self._is_flushing_soon = True
+            self._loop.call_soon(self._writable)
+        return True
 
     def _expiry(self, seconds: int) -> Any:
         if seconds not in self._expiries:
@@ -331,6 +394,7 @@ class Connection:
     def abort(self) -> None:
         """Let go of the socket; where nobody has disconnected in order, the broker sends the will."""
         self._detach()
+        self._stats.untold += len(self._told)
         for name in CALLBACKS:
             setattr(self._client, name, None)
         close(self._client)

@@ -7,13 +7,14 @@ connect; owed values are sent as they are when their turn comes, so that an old 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from gateway.config import MqttSection
+from gateway.control.drive_control import DriveControl
 from gateway.image import DriveImage, Image, Quality, Sample
 from gateway.metrics import MqttStats
-from gateway.mqtt import payload, topics
+from gateway.mqtt import outcome, payload, topics
 from gateway.mqtt.report import Report
 
 PER_VALUE = 3  # messages: number, words, quality
@@ -36,8 +37,16 @@ class Wire(Protocol):
 class Outlet:
     """One drive on its way to the broker: what was said of it, and what is owed."""
 
-    def __init__(self, image: DriveImage, section: MqttSection, gateway: str, stats: MqttStats) -> None:
+    def __init__(
+        self,
+        image: DriveImage,
+        section: MqttSection,
+        gateway: str,
+        stats: MqttStats,
+        control: DriveControl | None = None,
+    ) -> None:
         self.image = image
+        self._control = control
         self._stats = stats
         self._topics = topics.of_drive(section.base, gateway, image)
         self._report = Report(image, section.deadband, section.longest_silence)
@@ -50,7 +59,7 @@ class Outlet:
         self._owed: dict[str, None] = {}
         self._owes_state = False
         self._owes_standing = False
-        self._said: dict[str, str] = {}  # topic -> what the broker was last told of availability, trip, reset
+        self._said: dict[str, str] = {}  # topic -> what the broker was last told of all but values
 
     def _expiry_of(self, name: str, longest_silence: float) -> int:
         """Return when a number is to be forgotten: twice the time in which a value that is read is said again."""
@@ -70,6 +79,16 @@ class Outlet:
         self._owes_state = self._state is not None
         self._owes_standing = True
         self._said.clear()
+
+    def owe_standing(self) -> None:
+        """Take that availability, trip, reset or control may have changed."""
+        self._owes_standing = True
+
+    @property
+    def is_control_news(self) -> bool:
+        """Say whether the broker was told something else of who may command."""
+        said = self._said.get(self._topics.control)
+        return self._control is not None and said is not None and said != outcome.standing(self._control)
 
     def tell(self, wire: Wire, names: Sequence[str], now: float) -> None:
         """Send what is news after an answer, or, without names, after a change of the link."""
@@ -112,11 +131,12 @@ class Outlet:
             self._send_state(wire, self._state.write(now))
 
     def _settle_standing(self, wire: Wire) -> None:
-        """Say what the broker does not know yet of availability, trip and reset, as far as there is room."""
+        """Say what the broker does not know yet of availability, trip, reset and control, as far as there is room."""
         image, to = self.image, self._topics
         standing = {
             to.tripped: payload.TRUTH[image.is_tripped],
             to.reset_needed: payload.TRUTH[image.is_reset_needed],
+            to.control: outcome.standing(self._control),
             to.availability: payload.presence(image.link.is_connected),
         }
         for topic, text in standing.items():
@@ -162,8 +182,9 @@ class Outlet:
 
     def clear(self, wire: Wire, now: float) -> None:
         """Take back every number that was said to be good."""
-        if self._said.get(self._topics.tripped):
-            wire.send(self._topics.tripped, payload.NOTHING, retain=True, expiry=FOR_EVER)
+        for topic in (self._topics.tripped, self._topics.control):
+            if self._said.get(topic):
+                wire.send(topic, payload.NOTHING, retain=True, expiry=FOR_EVER)
         for name in [name for name, quality in self._qualities.items() if quality is Quality.GOOD]:
             self._send_value(wire, name, payload.left_behind(self.image.sample(name, now)), now)
         if self._state is not None:
@@ -173,9 +194,20 @@ class Outlet:
 class Publisher:
     """All drives of a gateway on their way to one broker."""
 
-    def __init__(self, section: MqttSection, gateway: str, image: Image, stats: MqttStats) -> None:
+    def __init__(
+        self,
+        section: MqttSection,
+        gateway: str,
+        image: Image,
+        stats: MqttStats,
+        controls: Mapping[str, DriveControl] | None = None,
+    ) -> None:
         self.status_topic = topics.status(section.base, gateway)
-        self._outlets = {drive.drive.name: Outlet(drive, section, gateway, stats) for drive in image.drives}
+        control = controls or {}
+        self._outlets = {
+            drive.drive.name: Outlet(drive, section, gateway, stats, control.get(drive.drive.name))
+            for drive in image.drives
+        }
         self._debtors: dict[str, Outlet] = {}
         self._owes_birth = False
 
@@ -198,6 +230,17 @@ class Publisher:
         outlet.tell(wire, names, now)
         if outlet.is_owing:
             self._debtors[name] = outlet
+
+    def owe_standing(self, drive: str) -> None:
+        """Take that who may command a drive has changed."""
+        self._outlets[drive].owe_standing()
+        self._debtors[drive] = self._outlets[drive]
+
+    def look(self) -> None:
+        """Look whether who may command a drive has changed without a word."""
+        for drive, outlet in self._outlets.items():
+            if outlet.is_control_news:
+                self.owe_standing(drive)
 
     def settle(self, wire: Wire, now: float, steps: int) -> None:
         """Send some of what is owed: at most `steps` values, so that the line need not wait long."""

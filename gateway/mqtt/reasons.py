@@ -51,6 +51,11 @@ def of_code(code: int, name: str) -> str:
     return f"{name} (reason code {code:02X}H); {REMEDIES.get(code, REMEDIES[0x80])}"
 
 
+def of_subscription(code: int, name: str) -> str:
+    """Explain why the broker lets nobody send commands here."""
+    return f"{name} (reason code {code:02X}H); let this user subscribe below mqtt.base in the broker's rules"
+
+
 def of_error(error: str) -> str:
     """Explain the error of a socket or of TLS."""
     hint = next((hint for needle, hint in HINTS if needle in error), None)

@@ -13,9 +13,10 @@ AVAILABILITY = "availability"
 STATE = "state"
 TRIPPED = "tripped"
 RESET_NEEDED = "reset_needed"
+CONTROL = "control"
 
 # Levels below a drive that are no values: what is published besides, and what is taken for control and description.
-PUBLISHED = frozenset({AVAILABILITY, STATE, TRIPPED, RESET_NEEDED})
+PUBLISHED = frozenset({AVAILABILITY, STATE, TRIPPED, RESET_NEEDED, CONTROL})
 RESERVED = PUBLISHED | {"set", "command", "heartbeat", "result", "event", "description"}
 
 
@@ -35,6 +36,7 @@ class DriveTopics:
     availability: str
     tripped: str
     reset_needed: str
+    control: str
     state: str
     values: Mapping[str, ValueTopics]
 
@@ -61,6 +63,7 @@ def of_drive(base: str, gateway: str, image: DriveImage) -> DriveTopics:
         availability=f"{root}/{AVAILABILITY}",
         tripped=f"{root}/{TRIPPED}",
         reset_needed=f"{root}/{RESET_NEEDED}",
+        control=f"{root}/{CONTROL}",
         state=f"{root}/{STATE}",
         values={name: _of_value(f"{root}/{level(name)}", has_text(image, name)) for name in image.names},
     )
@@ -76,7 +79,7 @@ def overview(section: MqttSection, site: Site) -> list[str]:
     listed = [status(section.base, gateway)]
     for drive in site.drives:
         topics = of_drive(section.base, gateway, DriveImage(drive))
-        listed += [topics.availability, topics.tripped, topics.reset_needed]
+        listed += [topics.availability, topics.tripped, topics.reset_needed, topics.control]
         if "state" in section.publish:
             listed.append(topics.state)
         if "values" in section.publish:

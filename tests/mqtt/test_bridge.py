@@ -15,6 +15,7 @@ import uvloop
 
 from gateway.image import LinkState
 from gateway.mqtt import bridge as bridge_module
+from gateway.mqtt import client
 from gateway.mqtt import connection as connection_module
 from gateway.mqtt.payload import StateWriter
 from gateway.mqtt.publisher import Publisher
@@ -309,9 +310,9 @@ async def test_every_session_of_mqtt_3_is_clean() -> None:
 def test_small_messages_go_at_once_and_few_wait_in_the_kernel() -> None:
     """A number does not wait for the acknowledgement of the last one; a queue that nobody can bound is short."""
     with socket.socket() as sock:
-        bridge_module._set_up(sock)
+        client._set_up(sock)
         assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-        assert sock.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF) <= 2 * bridge_module.SEND_BUFFER
+        assert sock.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF) <= 2 * client.SEND_BUFFER
 
 
 @pytest.mark.hazard("H18")

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from gateway.config import MqttSection
 from gateway.image import DriveImage, Image, LinkState
 from gateway.metrics import MqttStats
-from gateway.mqtt import payload
+from gateway.mqtt import outcome, payload
 from gateway.mqtt.publisher import FOR_EVER, PER_VALUE, Publisher
 from tests.mqtt import drives
 
@@ -87,6 +87,7 @@ def expected(image: DriveImage, now: float) -> dict[str, str]:
     named = {"command": "command_value"}
     wanted = {f"{ROOT}/availability": payload.presence(image.link.is_connected)}
     wanted[f"{ROOT}/reset_needed"] = "true" if image.is_reset_needed else "false"
+    wanted[f"{ROOT}/control"] = outcome.standing(None)
     if image.is_tripped is not None:
         wanted[f"{ROOT}/tripped"] = "true" if image.is_tripped else "false"
     for name in image.names:
@@ -156,7 +157,7 @@ def test_values_alone_and_the_state_alone() -> None:
         made.read(**EVERY)
         made.connect()
     assert f"{ROOT}/state" not in values.broker.retained
-    drive = {f"{ROOT}/{name}" for name in ("availability", "reset_needed", "state")}
+    drive = {f"{ROOT}/{name}" for name in ("availability", "reset_needed", "control", "state")}
     assert set(state.broker.retained) == {STATUS, *drive}
 
 

@@ -1,0 +1,155 @@
+"""Makes paho's clients: how a connection begins, what goes with a message, and what is subscribed."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import threading
+import traceback
+from collections.abc import Callable, Iterable
+from typing import Any, cast
+
+from paho.mqtt.client import Client
+from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+from paho.mqtt.subscribeoptions import SubscribeOptions
+
+from gateway.config import MqttSection
+from gateway.errors import BadConfig
+from gateway.mqtt import access, payload, reasons, topics
+from gateway.mqtt.connection import BrokerAway, LastError, Made, close
+
+CONNECT_LIMIT = 5.0  # seconds, for TCP and for the TLS handshake each
+LARGEST_PACKET = 64 * 1024  # bytes that the broker may send us in one packet
+RECEIVE_MAXIMUM = 20  # messages of QoS 1 and 2 that may be under way to us
+IN_FLIGHT = 20  # messages of QoS 1 and 2 under way to the broker; Mosquitto takes no more as installed
+SEND_BUFFER = 256 * 1024  # bytes; what the kernel holds for a broker that does not read, no queue can bound
+
+
+async def connect(section: MqttSection, gateway: str, in_flight: int) -> Made:
+    """Connect in a thread, since paho blocks meanwhile; BrokerAway says why not."""
+    return await _in_thread(lambda: _connect(section, gateway, in_flight))
+
+
+def _connect(section: MqttSection, gateway: str, in_flight: int) -> Made:
+    """Connect TCP and TLS and send CONNECT."""
+    try:
+        reach = access.read(section)  # anew for each connection: secrets and certificates may have been renewed
+        client, errors = _make_client(section, gateway, reach)
+        client.max_inflight_messages = in_flight
+        options: dict[str, Any] = {}
+        if section.version == "5":
+            options = {"clean_start": True, "properties": _connect_properties()}
+        client.connect(reach.host, reach.port, int(section.keep_alive), **options)
+        _set_up(client.socket())
+    except (OSError, ValueError, BadConfig) as error:
+        traceback.clear_frames(error.__traceback__)  # lets go of a socket whose handshake failed; paho does not
+        raise BrokerAway(reasons.of_error(str(error))) from error
+    if section.version == "5":
+        return Made(client, errors, _Expiry, _correlated)
+    return Made(client, errors, _nothing, _nothing)
+
+
+def _make_client(section: MqttSection, gateway: str, reach: access.Access) -> tuple[Client, LastError]:
+    is_5 = section.version == "5"
+    client = Client(
+        CallbackAPIVersion.VERSION2,
+        client_id=section.client_id or f"{section.base.replace('/', '-')}-{gateway}",
+        clean_session=None if is_5 else True,
+        protocol=MQTTProtocolVersion.MQTTv5 if is_5 else MQTTProtocolVersion.MQTTv311,
+        reconnect_on_failure=False,  # or paho would reconnect on its own, blocking, from within loop_read
+    )
+    client.connect_timeout = CONNECT_LIMIT
+    client.will_set(topics.status(section.base, gateway), payload.OFFLINE, section.qos, retain=True)
+    if reach.user is not None:
+        client.username_pw_set(reach.user, reach.password)
+    if reach.tls is not None:
+        client.tls_set_context(reach.tls)
+    errors = LastError()
+    client.enable_logger(errors)
+    return client, errors
+
+
+def subscriptions(filters: Iterable[str], version: str) -> list[tuple[str, Any]]:
+    """Return what is subscribed; MQTT 5 can ask for no retained messages (SAFETY.md H01)."""
+    options: Any = 1
+    if version == "5":
+        options = SubscribeOptions(qos=1, noLocal=True, retainHandling=SubscribeOptions.RETAIN_DO_NOT_SEND)
+    return [(topic, options) for topic in filters]
+
+
+def _connect_properties() -> Properties:
+    """Make the properties of CONNECT: nothing outlives the connection, and what comes in is bounded (H02, H24)."""
+    properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+    properties.SessionExpiryInterval = 0
+    properties.ReceiveMaximum = RECEIVE_MAXIMUM
+    properties.MaximumPacketSize = LARGEST_PACKET
+    return properties
+
+
+def _set_up(sock: Any) -> None:
+    """Let small messages go at once, and few wait in the kernel."""
+    if sock is not None:
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+
+
+class _Expiry:
+    """A message expiry as paho wants it, packed once: Properties would pack it anew for every message."""
+
+    def __init__(self, seconds: int) -> None:
+        properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+        properties.MessageExpiryInterval = seconds
+        self._packed = properties.pack()  # type: ignore[no-untyped-call]
+
+    def pack(self) -> bytes:
+        """Return the bytes on the wire."""
+        return cast(bytes, self._packed)
+
+
+def _correlated(correlation: bytes) -> Properties:
+    """Make the properties of an answer: those of the question come back."""
+    properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+    if correlation:
+        properties.CorrelationData = correlation
+    return properties
+
+
+def _nothing(_: object) -> None:
+    """Make no properties: MQTT 3.1.1 has none."""
+
+
+async def _in_thread(connect: Callable[[], Made]) -> Made:
+    """Connect in a thread of its own: the end of the daemon need not wait for it, as it would for an executor's."""
+    loop = asyncio.get_running_loop()
+    made: asyncio.Future[Made] = loop.create_future()
+
+    def deliver(result: Made | None, error: BaseException | None) -> None:
+        if made.cancelled():
+            if result is not None:
+                close(result.client)
+        elif result is not None:
+            made.set_result(result)
+        elif error is not None:
+            made.set_exception(error)
+
+    def work() -> None:
+        result, error = None, None
+        try:
+            result = connect()
+        except BaseException as raised:  # whatever it is, it belongs to the one who waits
+            error = raised
+        try:
+            loop.call_soon_threadsafe(deliver, result, error)
+        except RuntimeError:  # the loop is closed: nobody waits any longer
+            if result is not None:
+                close(result.client)
+
+    threading.Thread(target=work, name="mqtt-connect", daemon=True).start()
+    try:
+        return await made
+    except asyncio.CancelledError:
+        if made.done() and not made.cancelled() and made.exception() is None:
+            close(made.result().client)  # it was there already when the bridge was told to end
+        raise

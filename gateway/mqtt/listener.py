@@ -1,0 +1,211 @@
+"""Takes what controllers send to the door, and says what became of it.
+
+Messages are read as they come, so that a stop is never behind others: it goes to the door at once, and takes what
+waits for its drive along, which the door then ends. Everything else waits in a bounded inbox (SAFETY.md H24).
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from functools import partial
+from typing import Protocol
+
+from gateway.clock import Clock
+from gateway.config import MqttSection
+from gateway.control.command import Command, Reason, Result
+from gateway.control.door import STALLED, Door
+from gateway.control.results import Results
+from gateway.metrics import MqttStats
+from gateway.mqtt import commands, outcome
+from gateway.mqtt.commands import Message
+from gateway.mqtt.inbox import Allowance, Inbox, Waiting
+
+GOOD_FOR = 1.0  # seconds of a command for a drive that nobody may command
+REFUSALS = 50.0  # a second that are answered; more are counted only
+REFUSALS_AT_ONCE = 100.0
+LONGEST_LEVEL = 128  # characters; longer ones name nothing here, and no result could be told by them
+FORGET = 60  # seconds after which the broker may forget a result or an event
+TEXTS = {
+    Reason.SUPERSEDED: "a newer value came before it was sent",
+    Reason.BUSY: "too many commands at once for this drive",
+}
+
+
+class Wire(Protocol):
+    """The way back to those who asked; it never waits, and says False where there is no room."""
+
+    def say(self, topic: str, text: str, *, expiry: int) -> bool:
+        """Publish something that happened, not to be retained."""
+        ...
+
+    def reply(self, topic: str, text: str, correlation: bytes) -> bool:
+        """Publish an answer to one who named a topic for it."""
+        ...
+
+
+class Listener:
+    """What controllers send to one gateway by one broker."""
+
+    def __init__(self, section: MqttSection, gateway: str, door: Door, stats: MqttStats, clock: Clock) -> None:
+        self._root = f"{section.base}/{gateway}/"
+        self._max_age = section.command_max_age
+        self._door = door
+        self._stats = stats
+        self._clock = clock
+        self._wire: Wire | None = None
+        self._inbox = Inbox()
+        self._superseded: defaultdict[str, Results] = defaultdict(Results)
+        self._refusals = Allowance(REFUSALS, REFUSALS_AT_ONCE)
+        door.on_result(self._on_result)
+        door.on_event(self._on_event)
+
+    @property
+    def filters(self) -> list[str]:
+        """Return the topic filters to subscribe to."""
+        levels = (f"+/{commands.COMMAND}", f"+/{commands.SET}/+", f"+/{commands.HEARTBEAT}")
+        return [self._root + each for each in (*levels, f"{commands.LINE}/+/{commands.COMMAND}")]
+
+    @property
+    def is_waiting(self) -> bool:
+        """Say whether a command waits to be handed on."""
+        return len(self._inbox) > 0
+
+    def begin(self, wire: Wire) -> None:
+        """Take the way back for as long as the connection lasts."""
+        self._wire = wire
+
+    def end(self) -> None:
+        """Take that the connection is lost: what came by it is still carried out, and its results are counted."""
+        self._wire = None
+        while self.hand_over(1):
+            pass
+
+    # ---- what comes in
+
+    def hear(self, message: Message) -> None:
+        """Take one message."""
+        self._stats.heard += 1
+        if not message.topic.startswith(self._root):
+            self._stats.ignored += 1
+            return
+        levels = message.topic.removeprefix(self._root).split("/")
+        if max(map(len, levels)) > LONGEST_LEVEL:
+            self._stats.ignored += 1
+            return
+        control = self._door.controls.get(levels[0])
+        good_for = GOOD_FOR if control is None else control.settings.command_timeout
+        moment = commands.Moment(self._since(), self._clock.wall(), good_for, self._max_age)
+        read = commands.read(message, levels, moment, None if control is None else control.drive.model)
+        answer = partial(self._answer, message)
+        match read:
+            case commands.Beat(drive, source, beat):
+                self._door.beat(drive, source, beat)
+            case commands.LineStop(line, command):
+                self._stop_line(line, Waiting(command, answer))
+            case Command():
+                self._take(Waiting(read, answer))
+            case Result():
+                self._refuse(Waiting(read.command, answer), read)
+            case None:
+                self._stats.ignored += 1
+
+    def _since(self) -> float:
+        """Return since when a message may have been there: since before the event loop stood still, if it did."""
+        now, awake = self._clock.now(), self._door.awake
+        return awake if 0 < awake < now - STALLED else now
+
+    def _take(self, waiting: Waiting) -> None:
+        """Hand a stop on at once, and let anything else wait for its turn."""
+        command = waiting.command
+        if command.drive not in self._door.controls:
+            self._turn_away(waiting)
+        elif command.verb.is_stopping:
+            self._hand_over_all(command.drive)
+            self._door.submit(command, waiting.answer)
+        elif not self._superseded[command.drive].is_known(command, partial(self._refuse, waiting)):
+            displaced = self._inbox.put(waiting)
+            if displaced is not None:
+                self._displace(*displaced)
+
+    def _turn_away(self, waiting: Waiting) -> None:
+        """Let the door say why nobody may command this drive, but not for ever."""
+        if self._refusals.take(self._clock.now()):
+            self._door.submit(waiting.command, waiting.answer)
+        else:
+            self._stats.refused[Reason.UNKNOWN_DRIVE.value] += 1
+            self._stats.untold += 1
+
+    def _displace(self, waiting: Waiting, reason: Reason) -> None:
+        """Refuse what found no room, or a setpoint that is history: if it comes again it is still refused."""
+        self._stats.inbox_dropped += 1
+        result = waiting.refused(reason, TEXTS[reason])
+        if reason is Reason.SUPERSEDED:
+            known = self._superseded[waiting.command.drive]
+            known.remembering(waiting.command, _nobody)(result)
+        self._refuse(waiting, result)
+
+    def _refuse(self, waiting: Waiting, result: Result) -> None:
+        """Say that a command is refused before it came to the door; a flood is told of in part only."""
+        self._stats.refused[result.reason.value] += 1
+        if self._refusals.take(self._clock.now()):
+            waiting.answer(result)
+            self._door.tell_result(result)
+        else:
+            self._stats.untold += 1
+
+    def _stop_line(self, line: str, waiting: Waiting) -> None:
+        for drive in self._door.lines.get(line, ()):
+            self._hand_over_all(drive)
+        command = waiting.command
+        self._door.stop_line(line, command.verb, command.source, waiting.answer)
+
+    def _hand_over_all(self, drive: str) -> None:
+        """Hand on what waits for a drive, so that the door can end it in favour of a stop (SAFETY.md H10)."""
+        for waiting in self._inbox.take_all(drive):
+            self._door.submit(waiting.command, waiting.answer)
+
+    def hand_over(self, most: int) -> bool:
+        """Hand on that many commands; say whether more wait."""
+        for _ in range(most):
+            waiting = self._inbox.take()
+            if waiting is None:
+                return False
+            self._door.submit(waiting.command, waiting.answer)
+        return self.is_waiting
+
+    # ---- what goes out
+
+    def _answer(self, message: Message, result: Result) -> None:
+        """Answer to the one who asked, where the message names a topic for it (MQTT 5)."""
+        topic = message.response_topic
+        if not topic:
+            return
+        if not _may_be_answered_on(topic):
+            self._stats.untold += 1
+            return
+        text = outcome.result(result, self._clock.wall())
+        if self._wire is None or not self._wire.reply(topic, text, message.correlation):
+            self._stats.untold += 1
+
+    def _on_result(self, result: Result) -> None:
+        self._say(f"{result.command.drive}/{outcome.RESULT}", outcome.result(result, self._clock.wall()))
+
+    def _on_event(self, drive: str, event: str, reason: str) -> None:
+        self._say(f"{drive}/{outcome.EVENT}", outcome.event(event, reason, self._clock.wall()))
+
+    def _say(self, topic: str, text: str) -> None:
+        """Publish what happened, with its time; it is counted, and not kept, where that cannot be now."""
+        if self._wire is None or not self._wire.say(self._root + topic, text, expiry=FORGET):
+            self._stats.untold += 1
+
+
+def _nobody(_result: Result) -> None:
+    """Tell nobody."""
+
+
+def _may_be_answered_on(topic: str) -> bool:
+    """Say whether an answer may go to a topic: not where any gateway takes it for a command."""
+    levels = topic.split("/")
+    is_taken = levels[-1] in (commands.COMMAND, commands.HEARTBEAT) or commands.SET in levels[-2:-1]
+    is_name = not any(character in topic for character in "+#\0") and not topic.startswith("$")
+    return is_name and not is_taken and len(topic.encode(errors="replace")) <= 65_535
