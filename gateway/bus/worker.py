@@ -16,7 +16,8 @@ from gateway.bus.setpoint import Setpoint
 from gateway.bus.work import Learnt, Task, Work
 from gateway.clock import Clock
 from gateway.control.composing import COMMAND
-from gateway.control.drive_control import DriveControl, Errand
+from gateway.control.drive_control import DriveControl
+from gateway.control.state import Errand
 from gateway.errors import BadReply, LineDown, NoReply, Refusal, Refused
 from gateway.image import DriveImage, LinkState
 from gateway.metrics import DriveStats, LineStats
@@ -185,8 +186,8 @@ class LineWorker:
         name = station.drive.name
         if control.is_quiet and not station.is_left_alone:
             self._begin_anew(station, control.next_time(), f"left alone: {control.reason}")
-        elif control.needs_set_up:
-            control.needs_set_up = False
+        elif control.state.needs_set_up:
+            control.state.needs_set_up = False
             self._begin_anew(station, now + station.drive.model.times.start_up, control.reason)
         station.is_left_alone = control.is_quiet
         if control.is_exclusive:
@@ -431,7 +432,7 @@ class LineWorker:
         elif state in LOST:
             control.on_offline(reason, now)
         else:
-            control.on_heard(is_heard=True)
+            control.on_heard()
 
     def _count(self, station: _Station, error: NoReply | BadReply) -> None:
         is_silence = isinstance(error, NoReply)

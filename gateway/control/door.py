@@ -13,6 +13,7 @@ from gateway.control.composing import COMMAND
 from gateway.control.drive_control import DriveControl
 from gateway.control.ledger import Entry, Ledger, MemoryLedger
 from gateway.control.settings import settings_of
+from gateway.control.state import DriveState
 from gateway.control.stored import StoredWrites
 from gateway.site import Drive, Site
 
@@ -71,7 +72,7 @@ class Door:
             self._ring(drive.name)
 
         stored = StoredWrites(drive.name, self.ledger, Budget.of(settings.stored_writes), ring, tell)
-        self.controls[drive.name] = DriveControl(drive, settings, tell, stored)
+        self.controls[drive.name] = DriveControl(DriveState(drive, settings, tell), stored)
 
     def on_event(self, listener: Listener) -> None:
         """Call `listener(drive, event, reason)` when a drive is armed, disarmed, its lease lost, or left alone."""

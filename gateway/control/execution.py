@@ -89,6 +89,11 @@ class Execution:
         return self.is_stop and (self.is_done or self._place > 0)
 
     @property
+    def is_at_motion(self) -> bool:
+        """Say whether the frame that is sent may set a motor in motion, or change its speed."""
+        return self.phase is Phase.WRITING and self.write.may_start and not self.is_stop
+
+    @property
     def is_to_be_counted(self) -> bool:
         """Say whether its next write has to be counted for good before it may be sent."""
         return self.phase is Phase.RESERVING
@@ -101,7 +106,8 @@ class Execution:
     def plan(self, writes: Sequence[PlannedWrite]) -> None:
         """Take what it comes to now that it is its turn."""
         self.writes, self.is_begun = writes, True
-        self.phase = Phase.VERIFYING if self.was_announced else self._first_phase
+        if not self.is_over:
+            self.phase = Phase.VERIFYING if self.was_announced else self._first_phase
 
     def announced(self) -> None:
         """Take note that a broadcast has told it to the drive already."""

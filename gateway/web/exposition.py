@@ -18,8 +18,8 @@ from prometheus_client.core import (
 )
 
 from gateway import __version__
-from gateway.control.drive_control import Standing
 from gateway.control.ledger import Ledger
+from gateway.control.state import Standing
 from gateway.image import DriveImage, Image, LinkState, Quality
 from gateway.metrics import DriveStats, Histogram, LineStats, MqttStats, Stats, TcpStats
 from gateway.site import Site

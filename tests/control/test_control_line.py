@@ -222,3 +222,149 @@ def test_a_trip_disarms() -> None:
         assert "tripped" in result.text
 
     play(script)
+
+
+def test_a_fault_reset_is_done_when_the_drive_comes_back_untripped() -> None:
+    """Sent once without an answer; the drive is observed anew, and armed anew."""
+
+    async def script(stage: Stage) -> None:
+        await started(stage)
+        stage.bench.drive.inverter.trip(TripCode.EMERGENCY)
+        await stage.beat_for(1.0)
+        asked = asyncio.create_task(stage.ask(Verb.RESET))
+        await stage.beat_for(5.0)
+        result = await asked
+        assert result.status is Status.DONE, result
+        assert stage.bench.drive.inverter.condition.trip_code == 0
+        refused = await stage.ask(Verb.RUN, value="10")
+        assert refused.reason is Reason.NOT_ARMED
+        assert (await stage.ask(Verb.ARM)).status is Status.DONE
+        assert (await stage.ask(Verb.RUN, value="10")).status is Status.DONE
+
+    play(script)
+
+
+@pytest.mark.hazard("H13")
+def test_the_end_of_the_gateway_stops_the_motor() -> None:
+    """on_exit = "stop": read back and seen to stop; no command is taken any more."""
+
+    async def script(stage: Stage) -> None:
+        await started(stage)
+        await stage.beat_for(5.0)
+        stage.door.leave()
+        assert not stage.door.is_settled
+        await asyncio.sleep(1.0)
+        assert stage.door.is_settled
+        assert not stage.bench.drive.inverter.operation.is_running
+        assert (await stage.ask(Verb.RUN, value="10")).reason is Reason.ENDING
+
+    async def held(stage: Stage) -> None:
+        await started(stage)
+        await stage.beat_for(5.0)
+        stage.door.leave()
+        await asyncio.sleep(1.0)
+        assert stage.bench.drive.inverter.operation.is_running
+
+    play(script)
+    play(held, {"on_exit": "hold"})
+
+
+def test_a_release_stops_what_it_leaves_behind() -> None:
+    """The owner gives the lease back while the motor runs: on_loss; the next source may take it then."""
+
+    async def script(stage: Stage) -> None:
+        await started(stage)
+        await stage.beat_for(3.0)
+        assert (await stage.ask(Verb.RELEASE)).status is Status.DONE
+        await asyncio.sleep(1.0)
+        assert not stage.bench.drive.inverter.operation.is_running
+        assert (await stage.ask(Verb.TAKE, PLC)).status is Status.DONE
+
+    play(script)
+
+
+@pytest.mark.hazard("H12")
+def test_a_drive_found_running_that_nobody_owns_is_left_to_its_own_time_out() -> None:
+    """Nothing is written: its F803 trips it, as when no gateway had come back."""
+
+    async def script(stage: Stage) -> None:
+        inverter = stage.bench.drive.inverter
+        assert ("d1", "unowned", "it runs by command, and nobody holds the lease") in stage.events
+        await asyncio.sleep(4.0)
+        assert inverter.condition.trip_code == TripCode.COMMUNICATION
+        assert inverter.memory.word("command") == 0xC400
+
+    found = {"command": 0xC400, "frequency_command": 3000, "communication_timeout": 15, "timeout_action": 2}
+    play(script, registers=found)
+
+
+@pytest.mark.hazard("H08")
+def test_a_stored_parameter_needs_permission_and_is_not_written_when_equal() -> None:
+    """Refused by default; counted before it is sent; equal values wear nothing."""
+
+    async def refused(stage: Stage) -> None:
+        assert (await stage.ask(Verb.TAKE)).status is Status.DONE
+        result = await stage.ask(Verb.SET, name="acceleration_time_1", value="7.5")
+        assert (result.status, result.reason) == (Status.REFUSED, Reason.STORED)
+
+    async def permitted(stage: Stage) -> None:
+        assert (await stage.ask(Verb.TAKE)).status is Status.DONE
+        register = stage.bench.configured.drives[0].model.registers["acceleration_time_1"]
+        for _ in range(3):
+            result = await stage.ask(Verb.SET, name="acceleration_time_1", value="7.5")
+            assert result.status is Status.DONE, result
+        assert stage.bench.drive.inverter.memory.eeprom_writes[register.address] == 1
+        assert stage.door.ledger.count("d1", register.address) == 1
+
+    play(refused)
+    play(permitted, {"allow_stored": True})
+
+
+@pytest.mark.hazard("H07")
+def test_a_reset_that_nobody_saw_disarms() -> None:
+    """A brown-out too short for a lost link: FA87 tells, before the next run command is sent."""
+
+    async def script(stage: Stage) -> None:
+        assert (await stage.ask(Verb.TAKE)).status is Status.DONE
+        assert (await stage.ask(Verb.ARM)).status is Status.DONE
+        await stage.beat_for(1.0)
+        memory = stage.bench.drive.inverter.memory
+        memory.write_ram(memory.named("reset_detection"), 0)
+        result = await stage.ask(Verb.RUN, value="10")
+        assert result.status is Status.REFUSED, result
+        assert not stage.bench.drive.inverter.operation.is_running
+        assert ("d1", "disarmed", "the drive was reset") in stage.events
+
+    play(script)
+
+
+@pytest.mark.hazard("H14")
+def test_an_adapter_that_is_pulled_out_disarms() -> None:
+    """Nothing that waited is sent when it is back; the motor has stopped by its F803."""
+
+    async def script(stage: Stage) -> None:
+        await started(stage)
+        await stage.beat_for(1.0)
+        stage.bench.unplug()
+        await stage.beat_for(2.5)
+        assert stage.bench.drive.inverter.condition.is_timed_out
+        stage.bench.is_plugged = True
+        await stage.beat_for(8.0)
+        result = await stage.ask(Verb.RUN, value="10")
+        assert result.reason is Reason.NOT_ARMED
+
+    play(script)
+
+
+def test_raw_words_without_motion_are_a_stop() -> None:
+    """From any source, ahead of everything, as long as they keep the priority of commands."""
+
+    async def script(stage: Stage) -> None:
+        await started(stage)
+        result = await stage.ask(Verb.WORDS, PLC, address=0xFA00, words=(0x8000,))
+        assert result.status is Status.DONE, result
+        assert not stage.bench.drive.inverter.operation.is_running
+        result = await stage.ask(Verb.WORDS, PLC, address=0xFA00, words=(0x0000,))
+        assert result.reason is Reason.NOT_OWNER
+
+    play(script)

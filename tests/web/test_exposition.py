@@ -11,7 +11,7 @@ from prometheus_client.exposition import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
 from gateway import site
-from gateway.control.drive_control import Standing
+from gateway.control.state import Standing
 from gateway.control.wear import MEMORY, Wear
 from gateway.image import LinkState, Quality
 from gateway.web.exposition import families

@@ -1,0 +1,129 @@
+"""Resets of one drive: those that the gateway asks for, and those that nobody has seen (SAFETY.md H06, H07, H09).
+
+A fault reset gets no answer, and takes everything in the drive's RAM (E6581657 7.1). FA87 is set to 1 when a drive is
+armed; it reads 0 after any reset, however short.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from gateway.control.admission import NotAdmitted
+from gateway.control.command import Answer, Command, Reason, Result, Status
+from gateway.control.execution import Execution, Phase
+from gateway.control.state import DriveState, Errand, Standing, is_for_armed
+from gateway.control.writes import plan_write
+from gateway.drives.register import Register
+
+RESET_WITHIN = 15.0  # seconds for a drive to come back after a fault reset
+MARK = "reset_detection"  # FA87
+MARK_EVERY = 1.0  # seconds between two looks at it while the drive is armed
+MARK_FRESH = 0.25  # seconds for which a look at it is believed before a run command
+RESET = "the drive was reset"
+
+
+@dataclass(slots=True)
+class Resets:
+    """The resets of one drive. Times are monotonic seconds."""
+
+    state: DriveState
+    _asked: Execution | None = None
+    _until: float = 0.0
+    _seen: float = float("-inf")
+
+    @property
+    def is_under_way(self) -> bool:
+        """Say whether the drive has been told to reset itself and is not back yet."""
+        return self._asked is not None
+
+    def on_reset(self) -> None:
+        """Take that the drive was reset: it is set up anew, and armed anew."""
+        state = self.state
+        state.needs_set_up = True
+        state.may_move = False
+        state.queue.clear(Reason.OFFLINE, RESET)
+        state.disarm(RESET)
+
+    def sent(self, execution: Execution, now: float) -> None:
+        """Take that a fault reset was sent."""
+        self.state.queue.remove(execution)
+        self._asked, self._until = execution, now + RESET_WITHIN
+        self.on_reset()
+        self.state.is_online = False
+        self.state.is_tripped = None
+
+    def came_back(self) -> None:
+        """Take that the drive is online, and known to be tripped or not."""
+        if self._asked is None or self.state.is_tripped is None:
+            return
+        execution, self._asked = self._asked, None
+        if self.state.is_tripped:
+            execution.finish(Status.FAILED, Reason.STILL_TRIPPED, "the drive is still tripped")
+        else:
+            execution.finish(Status.DONE)
+
+    def tick(self, now: float) -> None:
+        """Give a reset up whose drive does not come back."""
+        if self._asked is not None and now > self._until:
+            execution, self._asked = self._asked, None
+            execution.finish(Status.UNKNOWN, Reason.NO_ANSWER, "the drive has not come back after the reset")
+
+    # ---- the mark
+
+    def marking(self, command: Command, answer: Answer, arm: Callable[[], None]) -> Execution | None:
+        """Return the write of the mark, after which the drive is armed; None where the model has no mark."""
+        state = self.state
+        register = state.drive.model.registers.get(MARK)
+        if register is None:
+            return None
+
+        def marked(result: Result) -> None:
+            is_done = result.status is Status.DONE
+            if not is_done and result.reason is not Reason.REFUSED_BY_DRIVE:
+                answer(result)
+                return
+            state.is_marked = is_done
+            try:
+                arm()
+            except NotAdmitted as refusal:
+                answer(Result(command, Status.REFUSED, refusal.reason, str(refusal)))
+            else:
+                answer(Result(command, Status.DONE))
+
+        write = plan_write(state.drive.model, state.drive.codec, state.drive.number, register, 1)
+        return Execution(command, (write,), marked)
+
+    @property
+    def _is_watched(self) -> bool:
+        return self.state.is_marked and self.state.is_online and self.state.standing is Standing.ARMED
+
+    def look_before(self, execution: Execution, now: float) -> Errand | None:
+        """Return the look that has to be made before a run command: the drive may have been reset unseen."""
+        is_first = execution.phase is Phase.WRITING and not execution.is_stop and is_for_armed(execution)
+        return self._look if self._is_watched and is_first and now > self._seen + MARK_FRESH else None
+
+    def next_look(self, now: float) -> Errand | None:
+        """Return the look that is due."""
+        return self._look if self._is_watched and now >= self._seen + MARK_EVERY else None
+
+    @property
+    def _look(self) -> Errand:
+        return self.state.look(self.state.drive.model.registers[MARK])
+
+    def seen(self, register: Register, word: int, now: float) -> None:
+        """Take what a look has shown."""
+        if register.name == MARK:
+            self._seen = now
+            if word == 0 and self.state.is_marked:
+                self.on_reset()
+
+    def refused(self, register: Register) -> None:
+        """Take that the mark cannot be read: nothing is watched then."""
+        if register.name == MARK:
+            self.state.is_marked = False
+
+    def next_time(self) -> float:
+        """Return when `tick` or `next_look` has to be called at the latest."""
+        times = [self._until] if self._asked is not None else []
+        return min([*times, self._seen + MARK_EVERY] if self._is_watched else times, default=float("inf"))
