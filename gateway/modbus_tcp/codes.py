@@ -1,9 +1,11 @@
-"""The exception codes of MODBUS-TCP answers."""
+"""The exception codes of MODBUS-TCP answers: why a value is not given, and why a command was not carried out."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import IntEnum
 
+from gateway.control.command import Reason, Result, Status
 from gateway.image import Missing
 
 
@@ -14,6 +16,7 @@ class ExceptionCode(IntEnum):
     ILLEGAL_DATA_ADDRESS = 0x02
     ILLEGAL_DATA_VALUE = 0x03
     SERVER_DEVICE_FAILURE = 0x04
+    ACKNOWLEDGE = 0x05
     SERVER_DEVICE_BUSY = 0x06
     GATEWAY_PATH_UNAVAILABLE = 0x0A
     GATEWAY_TARGET_FAILED_TO_RESPOND = 0x0B
@@ -24,3 +27,50 @@ CODE_FOR = {
     Missing.NOT_FRESH: ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND,
     Missing.LINE_DOWN: ExceptionCode.GATEWAY_PATH_UNAVAILABLE,
 }
+
+REFUSED: Mapping[Reason, ExceptionCode] = {  # nothing was sent
+    Reason.NOT_CONTROLLED: ExceptionCode.ILLEGAL_FUNCTION,
+    Reason.NOT_PERMITTED: ExceptionCode.ILLEGAL_FUNCTION,
+    Reason.NOT_IN_MODEL: ExceptionCode.ILLEGAL_DATA_ADDRESS,
+    Reason.READ_ONLY: ExceptionCode.ILLEGAL_DATA_ADDRESS,
+    Reason.FORBIDDEN: ExceptionCode.ILLEGAL_DATA_ADDRESS,
+    Reason.STORED: ExceptionCode.ILLEGAL_DATA_ADDRESS,
+    Reason.RANGE: ExceptionCode.ILLEGAL_DATA_VALUE,
+    Reason.MALFORMED: ExceptionCode.ILLEGAL_DATA_VALUE,
+    Reason.RETAINED: ExceptionCode.ILLEGAL_DATA_VALUE,
+    Reason.NO_WATCHDOG: ExceptionCode.SERVER_DEVICE_FAILURE,
+    Reason.WORN: ExceptionCode.SERVER_DEVICE_FAILURE,
+    Reason.NO_STORE: ExceptionCode.SERVER_DEVICE_FAILURE,
+    Reason.REFUSED_BY_DRIVE: ExceptionCode.SERVER_DEVICE_FAILURE,
+    Reason.NOT_READ_BACK: ExceptionCode.SERVER_DEVICE_FAILURE,
+    Reason.STILL_TRIPPED: ExceptionCode.SERVER_DEVICE_FAILURE,
+    Reason.NONE: ExceptionCode.SERVER_DEVICE_FAILURE,
+    Reason.NOT_OWNER: ExceptionCode.SERVER_DEVICE_BUSY,
+    Reason.NOT_ARMED: ExceptionCode.SERVER_DEVICE_BUSY,
+    Reason.QUIESCED: ExceptionCode.SERVER_DEVICE_BUSY,
+    Reason.BUSY: ExceptionCode.SERVER_DEVICE_BUSY,
+    Reason.TOO_OFTEN: ExceptionCode.SERVER_DEVICE_BUSY,
+    Reason.EXPIRED: ExceptionCode.SERVER_DEVICE_BUSY,
+    Reason.SUPERSEDED: ExceptionCode.SERVER_DEVICE_BUSY,
+    Reason.STOPPED: ExceptionCode.SERVER_DEVICE_BUSY,
+    Reason.ENDING: ExceptionCode.SERVER_DEVICE_BUSY,
+    Reason.UNKNOWN_DRIVE: ExceptionCode.GATEWAY_PATH_UNAVAILABLE,
+    Reason.LINE_DOWN: ExceptionCode.GATEWAY_PATH_UNAVAILABLE,
+    Reason.OFFLINE: ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND,
+    Reason.NO_ANSWER: ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND,
+}
+TARGET_LOST = frozenset((Reason.NO_ANSWER, Reason.OFFLINE))
+
+
+def exception_of(result: Result) -> ExceptionCode | None:
+    """Return the exception that tells a result; None where it is done.
+
+    What was sent and failed is never told by a code that says that nothing was sent (01, 02, 03, 06).
+    """
+    if result.status is Status.DONE:
+        return None
+    if result.status is Status.REFUSED:
+        return REFUSED[result.reason]
+    if result.status is Status.UNKNOWN or result.reason in TARGET_LOST:
+        return ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND
+    return ExceptionCode.SERVER_DEVICE_FAILURE

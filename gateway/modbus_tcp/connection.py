@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import ipaddress
 import logging
 import socket
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import cast
 
 from gateway.clock import Clock
 from gateway.control.command import Channel, Source
 from gateway.metrics import TcpStats
-from gateway.modbus_tcp.responder import GO_ON, READ_ON, Later, Responder, Write
-from gateway.modbus_tcp.writing import DriveWriter, MirrorWriter
+from gateway.modbus_tcp.responder import GO_ON, READ_ON, Responder
+from gateway.modbus_tcp.session import Session, Timer, Writer
 
 log = logging.getLogger("gateway.modbus_tcp")
 
-IN_FLIGHT = 16  # requests of one client that are answered before the others have their turn
+IN_FLIGHT = 16  # requests of one client that may wait for their answers; so many are answered in one turn
 WRITE_BUFFER = 64 * 1024  # bytes; beyond them the client's requests wait until it has read
 DRAIN_WITHIN = 4.0  # seconds; a client that does not read is cut by the sweep after it, 5 s at the latest
 KEEP_ALIVE = (("TCP_KEEPIDLE", 15), ("TCP_KEEPINTVL", 5), ("TCP_KEEPCNT", 3))  # a dead peer is gone after 30 s
@@ -62,26 +63,26 @@ class Connection(asyncio.Protocol):
     """One client. Its requests are answered in turns, so that it cannot keep the loop from the lines."""
 
     def __init__(
-        self,
-        responder: Responder,
-        clock: Clock,
-        places: Places,
-        writers: Mapping[int, DriveWriter | MirrorWriter] | None = None,
+        self, responder: Responder, clock: Clock, places: Places, writers: Mapping[int, Writer] | None = None
     ) -> None:
+        self._responder = responder
         self._writers = writers or {}
-        self._source = Source(Channel.MODBUS_TCP)
-        self._owed = 0  # answers of writes that are still to come
-        self._respond = responder.respond
         self._answer_again = responder.answer_again
         self._now = clock.now
         self._places = places
         self._transport: asyncio.Transport
+        self._session = self._session_of(Source(Channel.MODBUS_TCP))
+        self._owed = self._session.owed
         self._data = b""  # received; answered up to _at
         self._at = 0
-        self._is_waiting = False  # nothing is read: for the next turn, or until the client has read
+        self._is_waiting = False  # nothing is read: for the next turn, for an answer, or until the client has read
+        self._is_next = False  # the next turn is coming
         self._has_ended = False  # the client sends no more
-        self._heard_at = self._now()  # when it last sent a whole request
+        self._heard_at = self._now()  # when it last sent a whole request, or was answered
         self._blocked_at: float | None = None  # since when it owes us reading
+
+    def _session_of(self, source: Source) -> Session:
+        return Session(self._responder, self._writers, source, self._on_answer, call_later)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Serve the client if there is a place for it."""
@@ -90,13 +91,13 @@ class Connection(asyncio.Protocol):
             self._transport.abort()
             return
         self._transport.set_write_buffer_limits(high=WRITE_BUFFER)
-        peer = self._transport.get_extra_info("peername")
-        self._source = Source(Channel.MODBUS_TCP, str(peer[0]) if peer else "")
+        self._session = self._session_of(source_of(self._transport.get_extra_info("peername")))
+        self._owed = self._session.owed
         _keep_alive(self._transport.get_extra_info("socket"))
 
     def data_received(self, data: bytes) -> None:
         """Answer what is whole by now."""
-        if not self._data and not self._is_waiting:
+        if not self._data and not self._is_waiting and not self._owed:
             now = self._now()
             answer = self._answer_again(data, now)
             if answer is not None:  # nearly always: a lone request that was asked before
@@ -111,16 +112,13 @@ class Connection(asyncio.Protocol):
     def _take_turn(self) -> None:
         """Answer some requests in one write."""
         now = self._now()
-        room = IN_FLIGHT - self._owed
-        answers, used, then = self._respond(self._data, self._at, room, now, self._writer, self._put)
+        room = IN_FLIGHT - len(self._owed)
+        answers, used, then = self._responder.respond(self._data, self._at, room, now, self._session)
         if used > self._at:
             self._heard_at = now
             self._at = used
         if answers:
             self._transport.write(answers)
-        if self._owed >= IN_FLIGHT:
-            self._wait()
-            return
         if then is READ_ON:
             if used == len(self._data):
                 self._data, self._at = b"", 0
@@ -131,42 +129,35 @@ class Connection(asyncio.Protocol):
         else:
             self._close("what it sends is no MODBUS-TCP")
 
-    def _writer(self, unit: int) -> Write | None:
-        """Say who carries out the writes of a unit."""
-        writer = self._writers.get(unit)
-        if writer is None:
-            return None
-
-        def write(pdu: bytes, later: Later) -> None:
-            self._owed += 1
-            writer.write(pdu, self._source, later)
-
-        return write
-
-    def _put(self, answer: bytes) -> None:
-        """Send the answer of a write that has been carried out, and go on reading where that had to wait."""
-        was_full = self._owed >= IN_FLIGHT
-        self._owed -= 1
+    def _on_answer(self) -> None:
+        """Send the answer of a write, and what waited behind it; go on where there was no room for more."""
         if self._transport.is_closing():
             return
-        self._transport.write(answer)
-        if was_full:
-            asyncio.get_running_loop().call_soon(self._go_on)
+        now = self._now()
+        answers = self._session.release(now)
+        if answers:
+            self._heard_at = now
+            self._transport.write(answers)
+        if self._is_waiting:
+            self._queue_up()
+        elif self._has_ended and not self._owed:
+            self._close("it has sent its last")
 
     def _read_on(self) -> None:
         """Read again, or close behind a client that has sent its last; not before it has read its answers."""
         if self._blocked_at is not None:
             return
         self._is_waiting = False
-        if self._has_ended:
-            self._close("it has sent its last")
-        else:
+        if not self._has_ended:
             self._transport.resume_reading()
+        elif not self._owed:
+            self._close("it has sent its last")
 
     def _queue_up(self) -> None:
         """Let the others have their turn; what may wait is bounded by what one read of the socket brings."""
         self._wait()
-        if self._blocked_at is None:
+        if self._blocked_at is None and not self._is_next and len(self._owed) < IN_FLIGHT:
+            self._is_next = True
             asyncio.get_running_loop().call_soon(self._go_on)
 
     def _wait(self) -> None:
@@ -175,6 +166,7 @@ class Connection(asyncio.Protocol):
             self._transport.pause_reading()
 
     def _go_on(self) -> None:
+        self._is_next = False
         if not self._transport.is_closing():
             self._take_turn()
 
@@ -191,7 +183,7 @@ class Connection(asyncio.Protocol):
     def eof_received(self) -> bool:
         """Stay open while a client that sends no more is still owed answers."""
         self._has_ended = True
-        return self._is_waiting or self._owed > 0
+        return self._is_waiting or bool(self._owed)
 
     def overdue(self, now: float, idle_timeout: float) -> str | None:
         """Say why the time of this connection is over; None while it is not."""
@@ -205,6 +197,7 @@ class Connection(asyncio.Protocol):
         """Close behind the answers; a client that does not fetch them is cut in the end."""
         log.info("%s: closed: %s", self._peer, reason)
         self._data, self._at = b"", 0
+        self._session.close()
         self._blocked_at = self._blocked_at or self._now()
         self._transport.close()
 
@@ -214,13 +207,28 @@ class Connection(asyncio.Protocol):
         self._transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Give the place back."""
+        """Give the place back; what is under way goes on, and its result goes nowhere."""
         self._data, self._at = b"", 0
+        self._session.close()
         self._places.give_back(self)
 
     @property
     def _peer(self) -> str:
         return str(self._transport.get_extra_info("peername"))
+
+
+def call_later(seconds: float, call: Callable[[], None]) -> Timer:
+    """Put a call off, by the running loop."""
+    return asyncio.get_running_loop().call_later(seconds, call)
+
+
+def source_of(peer: tuple[str, ...] | None) -> Source:
+    """Name a controller by its address: all connections of one machine are one source, whatever they came by."""
+    host = str(peer[0]).partition("%")[0] if peer else ""
+    with contextlib.suppress(ValueError):
+        address = ipaddress.ip_address(host)
+        host = str(getattr(address, "ipv4_mapped", None) or address)
+    return Source(Channel.MODBUS_TCP, host)
 
 
 def _keep_alive(connection: socket.socket | None) -> None:

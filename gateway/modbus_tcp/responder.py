@@ -10,6 +10,7 @@ from typing import Protocol
 from gateway.image import LinkState, Missing
 from gateway.metrics import TcpStats
 from gateway.modbus_tcp.codes import CODE_FOR, ExceptionCode
+from gateway.modbus_tcp.requests import WRITING
 
 # MODBUS Messaging on TCP/IP Implementation Guide V1.0b, 3.1.3: transaction, protocol, length, unit; then the PDU.
 TRANSACTION = 2  # bytes
@@ -18,13 +19,13 @@ HEAD_END = 6  # bytes, with the transaction
 LEAST_LENGTH = 2  # unit id and function code
 MOST_LENGTH = 254  # unit id and a PDU of 253 bytes
 READ = struct.Struct(">BHH")  # PDU of a request to read registers
-UNIT_AT = 4  # bytes behind the transaction; the function code follows
+UNIT_AT = 4  # bytes behind the transaction
+FUNCTION_AT = 5
 READ_END = 12  # bytes of such a request, from transaction to count
 
 READ_HOLDING_REGISTERS = 0x03
 READ_INPUT_REGISTERS = 0x04
 ENCAPSULATED_INTERFACE = 0x2B
-FUNCTIONS = frozenset((0x06, 0x10, 0x17))  # that write
 IS_EXCEPTION = 0x80
 MOST_REGISTERS = 125  # MODBUS Application Protocol V1.1b3, 6.3
 KNOWN_AT_MOST = 1024  # requests; a client that asks for everything does not fill the memory
@@ -52,18 +53,6 @@ Read = Callable[[int, int, float], bytes | Missing]
 Known = tuple[Read, int, int, bytes]
 """A request to read that was answered before: who reads, start, count, and the answer up to its words."""
 
-Later = Callable[[bytes | ExceptionCode], None]
-"""Takes the answer PDU of a write, or the exception, when the drive has answered."""
-
-Write = Callable[[bytes, Later], None]
-"""Takes a request PDU that writes, and what is to be told its answer."""
-
-Begin = Callable[[int], Write | None]
-"""Says who carries out the writes of a unit; None where nobody does: illegal function."""
-
-Put = Callable[[bytes], None]
-"""Sends an answer, with its transaction id, when it is there."""
-
 Identify = Callable[[bytes, Mapping[str, str]], bytes | ExceptionCode]
 """Answers a request PDU of function 43 from an identity: the PDU of the answer, or the exception."""
 
@@ -81,9 +70,16 @@ Turn = tuple[bytes, int, Then]
 """The answers, the offset up to which the bytes are used, and what to do next."""
 
 
-def _nobody(_unit: int) -> Write | None:
-    """Carry out nothing: this server only reads."""
-    return None
+class Order(Protocol):
+    """The requests of one client that are not answered yet: what comes behind them waits too."""
+
+    def __len__(self) -> int:
+        """Return how many they are."""
+        ...
+
+    def take(self, transaction: bytes, frame: bytes, now: float) -> bytes:
+        """Take a request that writes, or has to wait; return all that may be sent by now."""
+        ...
 
 
 class Responder:
@@ -108,15 +104,13 @@ class Responder:
         words = read(start, count, now)
         if not isinstance(words, bytes):
             return None
-        self._requests[head[UNIT_AT + 1]] += 1
+        self._requests[head[FUNCTION_AT]] += 1
         return data[:TRANSACTION] + head + words
 
-    def respond(
-        self, data: bytes, at: int, limit: int, now: float, begin: Begin = _nobody, put: Put | None = None
-    ) -> Turn:
+    def respond(self, data: bytes, at: int, limit: int, now: float, order: Order | None = None) -> Turn:
         """Answer the whole requests that stand in `data` from `at`, `limit` of them at most, in their order.
 
-        A write is handed to whom `begin` names, and answered by `put` later on.
+        What writes goes to `order`, and so does all that comes behind it; without one nothing can be written.
         """
         answers: list[bytes] = []
         size = len(data)
@@ -129,49 +123,39 @@ class Responder:
             if end > size:
                 break
             frame = data[behind:end]
-            write = begin(frame[UNIT_AT]) if frame[UNIT_AT + 1] in FUNCTIONS and put is not None else None
-            if write is not None and put is not None:
-                self._begin(write, data[at:behind], frame, put)
-                answers.append(b"")
+            if order is not None and (frame[FUNCTION_AT] in WRITING or order):
+                answers.append(order.take(data[at:behind], frame, now))
             else:
-                answers.append(data[at:behind] + self._answer(frame, now))
+                answers.append(data[at:behind] + self.answer(frame, now))
             at = end
         then = GO_ON if len(answers) == limit and at < size else READ_ON
         return b"".join(answers), at, then
 
-    def _begin(self, write: Write, transaction: bytes, frame: bytes, put: Put) -> None:
-        """Hand a write on; its answer carries its own transaction id, in the order of completion."""
-        unit, function = frame[UNIT_AT], frame[UNIT_AT + 1]
-
-        def later(told: bytes | ExceptionCode) -> None:
-            if isinstance(told, ExceptionCode):
-                put(transaction + self._refuse(unit, function, told))
-                return
-            self._requests[function] += 1
-            put(transaction + HEAD.pack(0, 1 + len(told)) + bytes([unit]) + told)
-
-        write(frame[UNIT_AT + 1 :], later)
-
-    def _answer(self, frame: bytes, now: float) -> bytes:
-        """Answer a frame, from its protocol id on."""
-        unit, function = frame[UNIT_AT], frame[UNIT_AT + 1]
+    def answer(self, frame: bytes, now: float) -> bytes:
+        """Answer a frame, from its protocol id on, at once; nobody here carries out a write."""
+        unit, function = frame[UNIT_AT], frame[FUNCTION_AT]
         served = self._units.get(unit)
-        told: bytes | ExceptionCode = ExceptionCode.ILLEGAL_FUNCTION
         if served is None:
-            told = ExceptionCode.GATEWAY_PATH_UNAVAILABLE
-        elif function in (READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS):
-            told = self._read(served, frame, now)
-        elif function == ENCAPSULATED_INTERFACE:
-            told = self._told(served, frame[UNIT_AT + 1 :])
-        if isinstance(told, ExceptionCode):
-            return self._refuse(unit, function, told)
+            return self.told(frame, ExceptionCode.GATEWAY_PATH_UNAVAILABLE)
+        if function in (READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS):
+            return self.told(frame, self._read(served, frame, now))
+        if function == ENCAPSULATED_INTERFACE:
+            return self.told(frame, self._identified(served, frame[FUNCTION_AT:]))
+        return self.told(frame, ExceptionCode.ILLEGAL_FUNCTION)
+
+    def told(self, frame: bytes, told: bytes | ExceptionCode) -> bytes:
+        """Count the answer to a frame, and put its header in front: all but the transaction."""
+        unit, function = frame[UNIT_AT], frame[FUNCTION_AT]
         self._requests[function] += 1
+        if isinstance(told, ExceptionCode):
+            self._exceptions[told] += 1
+            return HEAD.pack(0, 3) + bytes([unit, function | IS_EXCEPTION, told])
         return HEAD.pack(0, 1 + len(told)) + bytes([unit]) + told
 
     def _read(self, served: Unit, frame: bytes, now: float) -> bytes | ExceptionCode:
         if len(frame) != READ_END - TRANSACTION:
             return ExceptionCode.ILLEGAL_DATA_VALUE
-        function, start, count = READ.unpack_from(frame, UNIT_AT + 1)
+        function, start, count = READ.unpack_from(frame, FUNCTION_AT)
         if not 1 <= count <= MOST_REGISTERS:
             return ExceptionCode.ILLEGAL_DATA_VALUE
         words = served.read(start, count, now)
@@ -183,14 +167,9 @@ class Responder:
             self._known[frame] = (served.read, start, count, head)
         return told + words
 
-    def _told(self, served: Unit, pdu: bytes) -> bytes | ExceptionCode:
+    def _identified(self, served: Unit, pdu: bytes) -> bytes | ExceptionCode:
         """Answer function 43; who was identified and is silent since then may be another drive by now."""
         answer = self._identify(pdu, served.identity if served.link.is_connected else {})
         if answer is ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND and served.link is LinkState.LINE_DOWN:
             return ExceptionCode.GATEWAY_PATH_UNAVAILABLE
         return answer
-
-    def _refuse(self, unit: int, function: int, code: ExceptionCode) -> bytes:
-        self._requests[function] += 1
-        self._exceptions[code] += 1
-        return HEAD.pack(0, 3) + bytes([unit, function | IS_EXCEPTION, code])

@@ -13,13 +13,16 @@ from gateway import __version__
 from gateway.clock import Clock
 from gateway.config import ModbusTcpSection, address
 from gateway.control.door import Door
-from gateway.image import Image, LinkState
+from gateway.image import Image
 from gateway.metrics import Stats
 from gateway.modbus_tcp.codes import ExceptionCode
 from gateway.modbus_tcp.connection import Connection, Places
 from gateway.modbus_tcp.gateway_unit import UNIT, GatewayUnit
+from gateway.modbus_tcp.mirror_unit import MirrorUnit
+from gateway.modbus_tcp.read_back import CommandedUnit
 from gateway.modbus_tcp.responder import Responder, Unit
-from gateway.modbus_tcp.writing import DriveWriter, MirrorWriter
+from gateway.modbus_tcp.session import Writer
+from gateway.modbus_tcp.writing import DriveWriter
 from gateway.ports import explain_bind_error
 
 log = logging.getLogger("gateway.modbus_tcp")
@@ -51,19 +54,23 @@ class ModbusTcpServer:
         self._places = Places(section.connections, stats.tcp)
         gateway_unit = GatewayUnit(image, stats, identity, clock.now())
         units: dict[int, Unit] = {**image.by_unit, UNIT: gateway_unit}
-        self._writers: dict[int, DriveWriter | MirrorWriter] = {}
+        self._writers: dict[int, Writer] = {}
         if door is not None and door.controls:
-            mirror = MirrorWriter(tuple(drive.drive for drive in image.drives), door, gateway_unit.read)
-            units[UNIT] = Mirrored(gateway_unit, mirror)
-            self._writers = {
-                drive.drive.unit: DriveWriter(drive.drive, door, drive.read)
-                for drive in image.drives
-                if drive.drive.name in door.controls
-            }
-            self._writers[UNIT] = mirror
+            self._open(door, image, gateway_unit, units)
         self._responder = Responder(units, identify, stats.tcp)
         self._server: asyncio.Server | None = None
         self._next_sweep: asyncio.TimerHandle | None = None
+
+    def _open(self, door: Door, image: Image, gateway_unit: GatewayUnit, units: dict[int, Unit]) -> None:
+        """Let the drives be commanded that may be."""
+        for drive in image.drives:
+            if drive.drive.name in door.controls:
+                commanded = CommandedUnit(drive, door)
+                units[drive.drive.unit] = commanded
+                self._writers[drive.drive.unit] = DriveWriter(drive.drive.name, door, commanded)
+        mirror = MirrorUnit(tuple(drive.drive.name for drive in image.drives), door, gateway_unit)
+        units[UNIT] = mirror
+        self._writers[UNIT] = mirror
 
     async def start(self) -> None:
         """Listen, and serve from now on."""
@@ -110,16 +117,6 @@ class ModbusTcpServer:
         await self._places.all_free.wait()
         await self._server.wait_closed()
         self._server = None
-
-
-class Mirrored:
-    """The gateway's own unit with the command mirror in it."""
-
-    link = LinkState.ONLINE
-
-    def __init__(self, unit: GatewayUnit, mirror: MirrorWriter) -> None:
-        self.identity = unit.identity
-        self.read = mirror.read
 
 
 def identify(pdu: bytes, identity: Mapping[str, str]) -> bytes | ExceptionCode:
