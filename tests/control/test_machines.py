@@ -33,7 +33,8 @@ NUMBER = 1
 
 def controlled(on_loss: object = "stop", mode: str = "leased") -> DriveControl:
     """Return the control of one VF-nC3 with a lease of 2 s and F803 = 1.5 s."""
-    drive_table = {"name": "d1", "number": NUMBER, "model": "vf-nc3", **CONTROL, "control": mode, "on_loss": on_loss}
+    who = {"name": "d1", "number": NUMBER, "model": "vf-nc3"}
+    drive_table = {**who, **CONTROL, "control": mode, "on_loss": on_loss}
     table = {
         "gateway": {"name": "t"},
         "line": [{"name": "a", "port": "/dev/null", "drive": [drive_table]}],
@@ -72,12 +73,12 @@ class CommandPath(RuleBasedStateMachine):
 
     @rule(source=st.sampled_from(SOURCES), verb=st.sampled_from([*MOVING, *OTHERS]))
     def command(self, source: Source, verb: Verb) -> None:
-        """A controller commands."""
+        """Command as a controller."""
         self._ask(source, verb)
 
     @rule(source=st.sampled_from(SOURCES), verb=st.sampled_from([Verb.STOP, Verb.COAST, Verb.EMERGENCY_STOP]))
     def stop(self, source: Source, verb: Verb) -> None:
-        """A controller stops the drive."""
+        """Stop the drive as a controller."""
         before = len(self.results)
         self._ask(source, verb)
         mine = [r for r in self.results[before:] if r.command is self.asked[-1]]
@@ -86,7 +87,7 @@ class CommandPath(RuleBasedStateMachine):
 
     @rule(source=st.sampled_from(SOURCES))
     def start(self, source: Source) -> None:
-        """A controller does all that it takes to run."""
+        """Do all that it takes to run."""
         for verb in (Verb.TAKE, Verb.ARM):
             self._ask(source, verb)
             self._serve("answer", 6)
@@ -108,7 +109,7 @@ class CommandPath(RuleBasedStateMachine):
 
     @rule(source=st.sampled_from(SOURCES), is_changed=st.booleans())
     def beat(self, source: Source, is_changed: bool) -> None:
-        """A heartbeat comes."""
+        """Send a heartbeat."""
         self.beats += is_changed
         if self.control.beat(source, self.beats, self.now):
             assert source == self.owner
@@ -123,7 +124,7 @@ class CommandPath(RuleBasedStateMachine):
 
     @rule(outcome=st.sampled_from(["answer", "silence", "refusal", "lost answer"]), count=st.integers(1, 5))
     def serve(self, outcome: str, count: int) -> None:
-        """The line carries what waits."""
+        """Carry what waits."""
         self._serve(outcome, count)
 
     def _serve(self, outcome: str, count: int) -> None:
@@ -159,7 +160,7 @@ class CommandPath(RuleBasedStateMachine):
 
     @rule(code=st.sampled_from([0, 24]))
     def trip(self, code: int) -> None:
-        """The drive trips, or is no longer tripped."""
+        """Let the drive trip, or be no longer tripped."""
         self.words[0xFC90] = code
         if self.control.state.is_online:
             self.control.on_trip(is_tripped=code != 0)
@@ -167,13 +168,13 @@ class CommandPath(RuleBasedStateMachine):
     @precondition(lambda self: self.control.state.is_online)
     @rule()
     def vanish(self) -> None:
-        """The link is lost."""
+        """Lose the link."""
         self.control.on_offline("no answer", self.now)
 
     @precondition(lambda self: not self.control.state.is_online and not self.control.is_quiet)
     @rule(is_reset=st.booleans())
     def come(self, is_reset: bool) -> None:
-        """The drive is back, as it was or reset."""
+        """Bring the drive back, as it was or reset."""
         if is_reset:
             self.words = {0x0803: 15, 0x0804: 2, 0x0808: 1}
         self._come()
