@@ -236,7 +236,7 @@ def _deadline(table: Mapping[str, Any], expiry: int | None, moment: Moment) -> f
     if "expires" in table:
         left.append(exact.moment(table["expires"], "expires") - moment.wall)
     if min(left) <= 0:
-        raise NotTaken(Reason.EXPIRED, f"it expired {-min(left):.1f} s before it came")
+        raise NotTaken(Reason.EXPIRED, f"it expired {abs(min(left)):.1f} s before it came")
     return moment.now + min(left)
 
 

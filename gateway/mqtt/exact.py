@@ -157,6 +157,8 @@ def known_keys(table: Mapping[str, Any], known: tuple[str, ...]) -> None:
 
 
 def shown(value: object) -> str:
-    """Return a value as it can be repeated to people and in logs: short, and in printable ASCII."""
-    found = ascii(str(value)) if isinstance(value, str | Decimal) else ascii(value)
+    """Return a value as it can be repeated to people and in logs: short, in printable ASCII, spelt as in JSON."""
+    if isinstance(value, list | dict):
+        return "a list" if isinstance(value, list) else "an object"
+    found = str(value) if isinstance(value, Decimal) else json.dumps(value)
     return found if len(found) <= 60 else f"{found[:57]}..."

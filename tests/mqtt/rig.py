@@ -24,6 +24,11 @@ FREQUENCY = f"{ROOT}/output_frequency"
 SOON = {"reconnect_after": "20ms", "reconnect_at_most": "50ms"}
 
 
+def section(**settings: object) -> MqttSection:
+    """Return the settings of a bridge; to a broker that is not asked for, unless they name one."""
+    return MqttSection.model_validate({"url": "mqtt://127.0.0.1", **SOON, **settings})
+
+
 class SkippingClock(SystemClock):
     """The machine's clock, which can be put forward."""
 
