@@ -1,4 +1,4 @@
-"""The command line: run, check, map, schema, registers, simulate, demo; scan, read, write and their like."""
+"""The command line: run, check, map, schema, registers, simulate, demo; scan, read, write and their like; store."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from gateway.errors import BadConfig, GatewayError, Refused
 from gateway.modbus_tcp import mapping
 from gateway.mqtt import topics
 from gateway.sim import runner, settings
+from gateway.store import commands as store
 
 EXIT_UNAVAILABLE = 69  # sysexits(3): the numbers that service managers know
 EXIT_SOFTWARE = 70
@@ -96,12 +97,17 @@ def run(
 
         factory = uvloop.new_event_loop
     with asyncio.Runner(loop_factory=factory) as runner_:
-        runner_.run(_run(configured))
+        runner_.run(_run(configured, file))
 
 
-async def _run(configured: site.Site) -> None:
+async def _run(configured: site.Site, file: Path) -> None:
+    """Run the gateway; at SIGHUP with the file as it is then."""
     logs.watch_loop(asyncio.get_running_loop())
-    await App(configured).run()
+    successor: site.Site | None = configured
+    while successor is not None:
+        gateway = App(successor, load=lambda: site.load(file))
+        await gateway.run()
+        successor = gateway.successor
 
 
 @app.command("check")
@@ -185,3 +191,4 @@ def demo(
 
 
 commissioning.add_to(app)
+store.add_to(app)

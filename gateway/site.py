@@ -116,11 +116,12 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """All that one gateway serves: its configuration and its lines with their drives."""
+    """All that one gateway serves: its configuration, the folder that it is in, and its lines with their drives."""
 
     config: Config
     lines: tuple[Line, ...]
     catalogue: Catalogue = field(repr=False)
+    folder: Path = Path()
 
     @property
     def drives(self) -> tuple[Drive, ...]:
@@ -134,7 +135,7 @@ def load(path: Path) -> Site:
 
 
 def build(table: Mapping[str, Any], name: str, folder: Path) -> Site:
-    """Check the table of a configuration file; `folder` is what relative catalogue files start from."""
+    """Check the table of a configuration file; relative files start from `folder`."""
     wrong = configuration.problems(table)
     models: Catalogue = {}
     try:
@@ -146,7 +147,7 @@ def build(table: Mapping[str, Any], name: str, folder: Path) -> Site:
     if wrong:
         raise BadConfig("\n".join(f"{name}: {problem}" for problem in wrong))
     config = Config.model_validate(table)
-    return Site(config, tuple(_line(section, models) for section in config.line), models)
+    return Site(config, tuple(_line(section, models) for section in config.line), models, folder)
 
 
 def _catalogue_files(table: Mapping[str, Any], folder: Path) -> list[Path]:
