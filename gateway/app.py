@@ -6,7 +6,7 @@ import asyncio
 import gc
 import logging
 import signal
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from typing import Any
 
 from gateway import __version__, systemd
@@ -14,12 +14,14 @@ from gateway.bus.serial_line import open_line
 from gateway.bus.worker import LineWorker, Opener
 from gateway.clock import Clock, SystemClock
 from gateway.control.door import Door, LineBell
+from gateway.control.ledger import Ledger
 from gateway.errors import GatewayError
 from gateway.image import Image, LinkState
 from gateway.metrics import DriveStats, LineStats, Stats
 from gateway.modbus_tcp.server import ModbusTcpServer
 from gateway.mqtt.bridge import Bridge
 from gateway.site import Site
+from gateway.store.store import Store
 from gateway.web.server import WebServer
 
 log = logging.getLogger("gateway")
@@ -35,17 +37,31 @@ class CoreTaskEnded(GatewayError):
 
 
 class App:
-    """One gateway. Parts that touch the world can be replaced: the clock, and how a line is opened."""
+    """One gateway. Parts that touch the world can be replaced: the clock, how a line is opened, and the ledger.
 
-    def __init__(self, site: Site, clock: Clock | None = None, opener: Opener = open_line) -> None:
+    `load` reads the configuration anew at SIGHUP; `successor` is then the site to go on with after `run`.
+    """
+
+    def __init__(
+        self,
+        site: Site,
+        clock: Clock | None = None,
+        opener: Opener = open_line,
+        ledger: Ledger | None = None,
+        load: Callable[[], Site] | None = None,
+    ) -> None:
         self.site = site
+        self.successor: Site | None = None
         self.clock = clock or SystemClock()
+        self.store = Store.of(site, self.clock) if ledger is None else None
+        self._load = load
+        self._loading: asyncio.Task[None] | None = None
         self.image = Image(site.drives)
         self.stats = Stats(started=self.clock.wall())
         self.stats.lines = {line.name: LineStats() for line in site.lines}
         self.stats.drives = {drive.name: DriveStats() for drive in site.drives}
         config = site.config
-        self.door = Door.of(site, self.clock)
+        self.door = Door.of(site, self.clock, ledger or self.store)
         self.workers = [
             LineWorker(
                 line,
@@ -77,13 +93,35 @@ class App:
         """Ask the running gateway to end in order."""
         self._stop.set()
 
+    def reload(self) -> None:
+        """Read the configuration anew: a right one takes over whole, a wrong one changes nothing (SAFETY.md H34)."""
+        if self._load is not None and (self._loading is None or self._loading.done()):
+            self._loading = asyncio.create_task(self._take_over(self._load))
+
+    async def _take_over(self, load: Callable[[], Site]) -> None:
+        try:
+            successor = await asyncio.to_thread(load)
+        except GatewayError as error:
+            log.error("not reloaded, the gateway goes on as it was: %s", error)
+            return
+        if successor == self.site:
+            log.info("not reloaded: nothing has changed")
+            return
+        log.info("reloading: every drive is disarmed, `on_exit` is done, and all begins anew")
+        self.successor = successor
+        self.stop()
+
     async def run(self) -> None:
         """Run until `stop`, SIGTERM or SIGINT; GatewayError says what keeps it from starting or made it end."""
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, self.stop)
+        if self._load is not None:
+            loop.add_signal_handler(signal.SIGHUP, self.reload)
         servers = [server for server in (self.modbus_tcp, self.web) if server is not None]
         started = []
+        if self.store is not None:
+            self.store.start()
         try:
             for server in servers:
                 await server.start()
@@ -93,6 +131,8 @@ class App:
             systemd.notify("STOPPING=1")
             for server in reversed(started):
                 await server.stop()
+            if self.store is not None:
+                await self.store.close()
 
     async def _run_tasks(self) -> None:
         """Run the core tasks together; the first that ends, ends them all: lines first, so that MQTT can say so."""

@@ -37,6 +37,13 @@ DRIVES = (
     ("pump-2", 2, "vf-nc3", "toshiba-binary"),
     ("fan-1", 3, "vf-mb1", "toshiba-binary"),
 )
+MIXER = ("mixer-1", 4, "vf-nc3", "modbus-rtu")  # stands still until somebody commands it
+CONTROL = """control = "leased"
+lease = "60s"
+communication_timeout = "3s"
+timeout_action = "stop"
+frequency = { min = 0.0, max = 50.0 }
+"""
 F829 = {"modbus-rtu": "modbus-rtu", "toshiba-binary": "toshiba"}
 
 LINE = """\
@@ -119,10 +126,10 @@ def _simulate(folder: Path) -> list[str]:
 
 
 def _write_files(folder: Path, ports: Ports) -> Path:
-    speeds = (50.0, 35.0, 42.5)
+    speeds = (50.0, 35.0, 42.5, 0.0)
     drives = (
         DRIVE.format(number=number, model=model, protocol=F829[protocol], hz=hz)
-        for (_, number, model, protocol), hz in zip(DRIVES, speeds, strict=True)
+        for (_, number, model, protocol), hz in zip((*DRIVES, MIXER), speeds, strict=True)
     )
     (folder / "line.toml").write_text(LINE.format(drives="".join(drives)))
     config = folder / "gateway.toml"
@@ -135,8 +142,9 @@ def _gateway_file(folder: Path, ports: Ports) -> Iterator[str]:
     yield f'[mqtt]\nurl = "mqtt://127.0.0.1:{ports.mqtt}"\nversion = "3.1.1"\n'
     yield f'[modbus_tcp]\nlisten = "127.0.0.1:{ports.modbus_tcp}"\n[web]\nlisten = "127.0.0.1:{ports.web}"\n'
     yield f'[[line]]\nname = "a"\nport = "{folder / "line"}"\nbaud = 19200\nparity = "even"\n'
-    for name, number, model, protocol in DRIVES:
+    for name, number, model, protocol in (*DRIVES, MIXER):
         yield f'[[line.drive]]\nname = "{name}"\nnumber = {number}\nmodel = "{model}"\nprotocol = "{protocol}"\n'
+    yield CONTROL
 
 
 @contextlib.asynccontextmanager
@@ -272,9 +280,9 @@ def _age(image: DriveImage, seen: Seen) -> str:
 
 
 def _hints(ports: Ports) -> Iterator[str]:
-    """Yield where to look, and three commands to try."""
+    """Yield where to look, and what to try."""
     yield f"MQTT 127.0.0.1:{ports.mqtt}: tosvert/demo/<drive>/<value>, tosvert/demo/<drive>/state (JSON)"
-    yield f"MODBUS-TCP 127.0.0.1:{ports.modbus_tcp}: units 1-3 at the drives' own numbers (FD00H = 64768 is the"
+    yield f"MODBUS-TCP 127.0.0.1:{ports.modbus_tcp}: units 1-4 at the drives' own numbers (FD00H = 64768 is the"
     yield "  output frequency, FD01H the status); unit 255 is the compact map: 16 registers a drive from 0"
     yield f"HTTP http://127.0.0.1:{ports.web}/healthz and /metrics"
     yield "Try from another terminal:"
@@ -285,4 +293,7 @@ def _hints(ports: Ports) -> Iterator[str]:
         f"port={ports.modbus_tcp}); c.connect(); "
         'print(c.read_holding_registers(0, count=48, device_id=255).registers)"'
     )
-    yield "(the last one by .venv/bin/python3, where pymodbus is installed)"
+    yield "(that one by .venv/bin/python3, where pymodbus is installed)"
+    yield "Run the motor of mixer-1 for a minute, then see its lease end and the gateway stop it:"
+    for command in ("take", "arm", '{"command": "run", "frequency": 30}'):
+        yield f"  mosquitto_pub -p {ports.mqtt} -t tosvert/demo/mixer-1/command -m '{command}'"

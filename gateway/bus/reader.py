@@ -504,6 +504,14 @@ class DriveReader:
         reads = [self._alone(registers[name]) for name in TRIP_REGISTERS if name in registers]
         return Learnt(once=[Work(Task.TRIP, read.request, read) for read in reads])
 
+    def glance(self) -> Work:
+        """Return a read that is always worth its time: the status, or the question who is there."""
+        status = self.drive.model.registers.get(TRIP_REGISTERS[-1])
+        if status is None or status.name in self.absent:
+            return self.identify()
+        read = self._alone(status)
+        return Work(Task.TRIP, read.request, read)
+
     # ---- refusals
 
     def on_refused(self, work: Work, sent: Request, refused: Refused, now: float) -> Learnt:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping
 
 from gateway import site
 from gateway.bus.blocks import Planner
+from gateway.bus.controls import Commanded, LineControls
 from gateway.bus.exchange import Answered, Exchanger
+from gateway.bus.keepalive import Keepalive
 from gateway.bus.line import Line
 from gateway.bus.link import Heard, Link
 from gateway.bus.reader import DriveReader
+from gateway.bus.refresh import worst_case
 from gateway.bus.schedule import AHEAD, Job, NotBefore, Schedule, Send
 from gateway.bus.setpoint import Setpoint
 from gateway.bus.work import Learnt, Task, Work
@@ -21,7 +24,6 @@ from gateway.control.state import Errand
 from gateway.errors import BadReply, LineDown, NoReply, Refusal, Refused
 from gateway.image import DriveImage, LinkState
 from gateway.metrics import DriveStats, LineStats
-from gateway.protocol.codec import Codec, NoSuchForm
 from gateway.protocol.pdu import EVERY_DRIVE, ReadWords, Request, Words, WriteRam, WriteStored
 
 log = logging.getLogger("gateway.bus")
@@ -76,16 +78,13 @@ class LineWorker:
         controls: Mapping[str, DriveControl] | None = None,
     ) -> None:
         self._line = line
-        self._controls = {
-            drive.name: controls[drive.name] for drive in line.drives if controls and drive.name in controls
-        }
+        own = {drive.name: controls[drive.name] for drive in line.drives if controls and drive.name in controls}
+        self._controls = LineControls(own, Keepalive(worst_case(line).lead if own else 0.0))
         self._stats = stats
         self._clock = clock
         self._opener = opener
         self._alarm = clock.alarm()
         self._schedule: Schedule[Work] = Schedule(line.silent_share, line.probe_every, line.probe_at_most)
-        self._last_served = self._last_stopped = ""
-        self._broadcasts: list[tuple[Codec, WriteRam]] = []
         self._stations: dict[str, _Station] = {}
         for index, drive in enumerate(line.drives):
             processing = drive.model.times.processing + drive.wait_time
@@ -93,6 +92,11 @@ class LineWorker:
             self._stations[drive.name] = _Station(
                 drive, images[drive.name], drive_stats[drive.name], planner, index / len(line.drives)
             )
+
+    @property
+    def _slowest(self) -> float:
+        """Return how long the slowest drive takes for a request, in seconds."""
+        return max(station.processing for station in self._stations.values())
 
     async def run(self) -> None:
         """Serve the line until cancelled; a lost port is opened again with back-off."""
@@ -132,6 +136,7 @@ class LineWorker:
             now = self._clock.now()
             for station in self._stations.values():
                 station.link = Link()
+                station.is_left_alone = False  # what its control wants is looked at before the first frame
                 station.image.set_link(station.link.state, "not heard yet")
                 self._schedule.probe(station.drive.name, station.reader.identify(), now)
             exchanger = Exchanger(port, self._line.timing, self._line.margin, self._clock, self._stats)
@@ -143,13 +148,24 @@ class LineWorker:
     async def _step(self, exchanger: Exchanger) -> None:
         """Do the next thing: an exchange, or waiting for the next one's time."""
         now = self._clock.now()
-        wake = self._look_at_controls(now)
-        if self._broadcasts:
-            await self._broadcast(exchanger, *self._broadcasts.pop(0))
-            return
-        if (errand := self._errand(now)) is not None:
-            await self._carry(exchanger, *errand)
-            return
+        controls = self._controls
+        controls.tick(now)
+        for name, control in controls.controls.items():
+            self._follow(self._stations[name], control, now)
+        if (broadcast := controls.next_broadcast(now)) is not None:
+            await exchanger.exchange(broadcast.codec, broadcast.request, self._slowest)
+        elif (commanded := controls.next_stop(now)) is not None:
+            await self._carry(exchanger, commanded)
+        elif (due := controls.next_due(now)) is not None:
+            await self._keep_alive(exchanger, self._stations[due], now)
+        elif (commanded := controls.next_command(now)) is not None:
+            await self._carry(exchanger, commanded)
+        else:
+            await self._poll(exchanger, now)
+
+    async def _poll(self, exchanger: Exchanger, now: float) -> None:
+        """Do what the schedule says: a poll, a probe, or waiting."""
+        wake = self._controls.next_time()
         match self._schedule.next(now):
             case Send(job):
                 await self._exchange(exchanger, job)
@@ -157,6 +173,18 @@ class LineWorker:
                 await self._alarm.wait_until(min(when, wake))
             case None:
                 await self._alarm.wait_until(min(now + IDLE_WAIT, wake))
+
+    async def _keep_alive(self, exchanger: Exchanger, station: _Station, now: float) -> None:
+        """Talk to a drive whose F803 would run out: about its command, else about its status."""
+        name = station.drive.name
+        if (commanded := self._controls.next_of(name, now)) is not None:
+            await self._carry(exchanger, commanded)
+            return
+        is_held = now < station.quiet_until or not station.reader.is_set_up
+        work = station.reader.identify() if is_held else station.reader.glance()
+        job = Job(name, work, None, now, AHEAD)
+        self._schedule.add(job)
+        await self._exchange(exchanger, job)
 
     # ---- commands
 
@@ -166,20 +194,12 @@ class LineWorker:
 
     def announce(self, word: int) -> bool:
         """Have a command word broadcast ahead of everything, in every protocol of the line; say whether one can."""
+        is_any = False
         for drive in self._line.drives:
             request = WriteRam(EVERY_DRIVE, drive.model.registers[COMMAND].address, word)
-            told = (drive.codec, request)
-            if told not in self._broadcasts and _has(*told):
-                self._broadcasts.append(told)
+            is_any |= self._controls.announce(drive.codec, request)
         self.ring()
-        return bool(self._broadcasts)
-
-    def _look_at_controls(self, now: float) -> float:
-        """Let every control see the time; return when the next one has to."""
-        for name, control in self._controls.items():
-            control.tick(now)
-            self._follow(self._stations[name], control, now)
-        return min((control.next_time() for control in self._controls.values()), default=float("inf"))
+        return is_any
 
     def _follow(self, station: _Station, control: DriveControl, now: float) -> None:
         """Do for a drive what its control wants: leave it alone, begin anew, or send it nothing but a stop."""
@@ -204,9 +224,10 @@ class LineWorker:
         self._tell_control(station, reason)
         self._schedule.probe(station.drive.name, station.reader.identify(), when)
 
-    async def _carry(self, exchanger: Exchanger, station: _Station, control: DriveControl, errand: Errand) -> None:
+    async def _carry(self, exchanger: Exchanger, commanded: Commanded) -> None:
         """Carry out one frame of a command, or a look for it."""
-        request = errand.request
+        station, control = self._stations[commanded.drive], self._controls.controls[commanded.drive]
+        errand, request = commanded.errand, commanded.errand.request
         control.sending(errand)
         station.stats.exchanges += 1
         if isinstance(request, WriteStored):
@@ -226,6 +247,7 @@ class LineWorker:
             control.on_refused(errand, refused)
         else:
             self._carried(station, control, errand, answered)
+        station.stats.communication_timeout = self._controls.watch(commanded.drive)
 
     def _carried(self, station: _Station, control: DriveControl, errand: Errand, answered: Answered) -> None:
         """Take the answer to a command's frame: what was read back is seen at once."""
@@ -245,27 +267,6 @@ class LineWorker:
         station.trip_signs.clear()
         when = self._clock.now() + self._line.probe_every
         self._schedule.probe(station.drive.name, station.reader.identify(), when)
-
-    def _errand(self, now: float) -> tuple[_Station, DriveControl, Errand] | None:
-        """Return the next frame of a command or for one: stops first, then drive after drive in turn."""
-        if not self._controls:
-            return None
-        asked = [name for name, control in self._controls.items() if control.has_stop]
-        others = [name for name in self._controls if name not in asked]
-        for names in (_after(asked, self._last_stopped), _after(others, self._last_served)):
-            for name in names:
-                errand = self._controls[name].next(now)
-                if errand is not None:
-                    if errand.is_stop:
-                        self._last_stopped = name
-                    else:
-                        self._last_served = name
-                    return self._stations[name], self._controls[name], errand
-        return None
-
-    async def _broadcast(self, exchanger: Exchanger, codec: Codec, request: WriteRam) -> None:
-        """Tell every drive of a line at once; nobody answers."""
-        await exchanger.exchange(codec, request, max(station.processing for station in self._stations.values()))
 
     async def _exchange(self, exchanger: Exchanger, job: Job[Work]) -> None:
         """Carry out one exchange; whatever comes of it is finished here and nowhere else."""
@@ -315,7 +316,7 @@ class LineWorker:
 
     def _trip(self, station: _Station, is_tripped: bool | None, now: float) -> None:
         """Take what an answer said of a trip; at each change the trip code and the status are read at once."""
-        if (control := self._controls.get(station.drive.name)) is not None:
+        if (control := self._controls.controls.get(station.drive.name)) is not None:
             control.on_trip(is_tripped)
         if is_tripped is None or is_tripped is station.image.is_tripped:
             return
@@ -342,9 +343,14 @@ class LineWorker:
         return self._stations[drive].reader.is_carrying
 
     def _heard(self, station: _Station, now: float) -> None:
-        if station.stats.last_heard > 0:
-            station.stats.longest_gap = max(station.stats.longest_gap, now - station.stats.last_heard)
-        station.stats.last_heard = now
+        stats = station.stats
+        if stats.last_heard > 0:
+            gap = now - stats.last_heard
+            stats.longest_gap = max(stats.longest_gap, gap)
+            if stats.communication_timeout > 0:
+                stats.least_margin = min(stats.least_margin, stats.communication_timeout - gap)
+        stats.last_heard = now
+        self._controls.keepalive.heard(station.drive.name, now)
 
     def _learn(self, station: _Station, job: Job[Work], learnt: Learnt, done: float | None = None) -> None:
         """Put what an answer brought where it belongs: link, image, schedule, log."""
@@ -420,7 +426,7 @@ class LineWorker:
 
     def _tell_control(self, station: _Station, reason: str) -> None:
         """Let the drive's control know whether it may be commanded, how it is set, and whether it is tripped."""
-        control = self._controls.get(station.drive.name)
+        control = self._controls.controls.get(station.drive.name)
         if control is None:
             return
         state, now = station.link.state, self._clock.now()
@@ -433,8 +439,11 @@ class LineWorker:
             control.on_offline(reason, now)
         else:
             control.on_heard()
+        station.stats.communication_timeout = self._controls.watch(station.drive.name)
 
     def _count(self, station: _Station, error: NoReply | BadReply) -> None:
+        """Count an exchange that came to nothing."""
+        self._controls.keepalive.missed(station.drive.name)
         is_silence = isinstance(error, NoReply)
         self._stats.errors["no_reply" if is_silence else "bad_reply"] += 1
         if is_silence:
@@ -467,17 +476,3 @@ class LineWorker:
             self._schedule.hold(name, station.quiet_until)
             self._schedule.add(Job(name, station.reader.identify(), None, now, AHEAD))
 
-
-def _has(codec: Codec, request: Request) -> bool:
-    """Say whether a protocol has a frame for a request."""
-    try:
-        codec.encode(request)
-    except NoSuchForm:
-        return False
-    return True
-
-
-def _after(names: Sequence[str], last: str) -> list[str]:
-    """Return names in turn, beginning behind the last one served."""
-    place = names.index(last) + 1 if last in names else 0
-    return [*names[place:], *names[:place]]

@@ -155,8 +155,10 @@ class Door:
         control.beat(source, beat, self.awake if now - self.awake > STALLED and self.awake > 0 else now)
 
     def pulse(self) -> None:
-        """Take note that the event loop is alive."""
+        """Take note that the event loop is alive, and see to what has run out even where a line is down."""
         self.awake = self.clock.now()
+        for control in self.controls.values():
+            control.tick(self.awake)
 
     # ---- what comes of it
 
