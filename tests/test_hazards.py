@@ -29,6 +29,8 @@ class TestGroup:
 
     @pytest.mark.hazard("H06")
     def not_a_test(self): ...
+
+TestMachine = pytest.mark.hazard("H07")(Machine.TestCase)
 '''
 TEST = MarkedTest("tests/bus/test_x.py", "test_a", frozenset({"H05"}), is_e2e=False)
 REMOVAL = Removal("H05", "the lease", "gateway/x.py", "if over:\n", "if False:\n")
@@ -38,9 +40,10 @@ RULE = Rule("H05", "a hazard", "a rule", ("gateway/x.py",), (REMOVAL,))
 class TestMarks:
     def test_they_are_found_at_the_module_the_class_the_function_and_the_parameter(self) -> None:
         """Without importing anything; "e2e" is told apart."""
-        first, second = marks.of_source(SOURCE, "tests/test_x.py")
+        first, second, third = marks.of_source(SOURCE, "tests/test_x.py")
         assert (first.node, sorted(first.hazards)) == ("tests/test_x.py::test_a", ["H01", "H02", "H03"])
         assert (second.node, sorted(second.hazards)) == ("tests/test_x.py::TestGroup::test_b", ["H01", "H04", "H05"])
+        assert (third.node, sorted(third.hazards)) == ("tests/test_x.py::TestMachine::runTest", ["H01", "H07"])
         assert first.is_e2e
         assert second.place == ("tests.test_x.TestGroup", "test_b")
 

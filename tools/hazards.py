@@ -111,7 +111,8 @@ def _tests(all_: Sequence[Standing]) -> Iterator[str]:
 
 
 def _line(test: MarkedTest, has_failed: bool) -> str:
-    sentence = test.name.removeprefix("test_").replace("_", " ")
+    name = test.group if test.name == marks.MACHINE else test.name
+    sentence = name.removeprefix("test_").replace("_", " ")
     what = " (real programs)" if test.is_e2e else " (simulated drives)" if test.is_of_the_judge else ""
     return f"- {'✓ ' if has_failed else ''}{sentence}{what}: `{test.file}`\n"
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from tools.locks import ROOT
 
 TESTS = ROOT / "tests"
+MACHINE = "runTest"  # the one test of a state machine: `TestX = pytest.mark.hazard("H05")(X.TestCase)`
 JUDGES = "tests/sim/"  # tests of the simulated drives, which judge the gateway: they prove no rule of it
 
 
@@ -62,6 +63,9 @@ def _tests(body: list[ast.stmt], file: str, around: frozenset[str], group: str) 
         elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name.startswith("test_"):
             marks = around | _marks(node.decorator_list)
             yield MarkedTest(file, node.name, marks - {"e2e"}, "e2e" in marks, group)
+        elif isinstance(node, ast.Assign) and (name := ast.unparse(node.targets[0])).startswith("Test"):
+            marks = around | _marks([node.value])
+            yield MarkedTest(file, MACHINE, marks - {"e2e"}, "e2e" in marks, name)
 
 
 def _of_module(module: ast.Module) -> frozenset[str]:
