@@ -9,15 +9,18 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 
 from gateway.clock import Alarm
+from gateway.control.command import Source
 from gateway.drives.model import Model
 from gateway.drives.register import Enumeration, Kind, Register
 from gateway.drives.scaling import Scaling
 from gateway.image import DriveImage, Image, LinkState
 from gateway.metrics import LineStats, Stats
+from gateway.modbus_tcp.codes import ExceptionCode
 from gateway.modbus_tcp.connection import Connection, Places
 from gateway.modbus_tcp.gateway_unit import UNIT, GatewayUnit
 from gateway.modbus_tcp.responder import Responder, Unit
 from gateway.modbus_tcp.server import IDENTITY, identify
+from gateway.modbus_tcp.session import Reply, Writer
 from gateway.site import Drive, Point
 
 NOW = 1000.0  # monotonic seconds
@@ -151,8 +154,8 @@ def answers(stream: bytes) -> list[tuple[int, int, bytes]]:
 class Wire(asyncio.Transport):
     """The transport of a connection under test; while `is_read` is False the client takes nothing."""
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, peer: str = "10.0.0.7") -> None:
+        super().__init__({"peername": (peer, 50_000)})
         self.writes: list[bytes] = []
         self.is_read = True
         self.is_closed = False
@@ -207,6 +210,39 @@ class Wire(asyncio.Transport):
         return self.is_closed
 
 
+REFUSED_AT_ONCE = 0xBAD0  # an address whose writes are answered 06 before they have begun
+
+
+@dataclass
+class Desk:
+    """Takes writes, and answers them when a test lets it."""
+
+    patience: float = 0.9
+    pending: list[tuple[bytes, Reply]] = field(default_factory=list)
+    sources: list[Source] = field(default_factory=list)
+    begun: list[bytes] = field(default_factory=list)
+
+    def write(self, pdu: bytes, source: Source, reply: Reply) -> float:
+        """Keep the request; see `finish`."""
+        self.begun.append(pdu)
+        self.sources.append(source)
+        if pdu[1:3] == struct.pack(">H", REFUSED_AT_ONCE):
+            reply(ExceptionCode.SERVER_DEVICE_BUSY)
+        else:
+            self.pending.append((pdu, reply))
+        return self.patience
+
+    def finish(self, place: int = 0, code: ExceptionCode | None = None) -> None:
+        """Answer one that is under way: 06H with its echo, or an exception."""
+        pdu, reply = self.pending.pop(place)
+        reply(pdu[:5] if code is None else code)
+
+
+def write(transaction: int, unit: int, address: int, word: int) -> bytes:
+    """Make a request to write one register."""
+    return request(transaction, unit, struct.pack(">BHH", 6, address, word))
+
+
 @dataclass
 class Rig:
     """A responder over an image and connections without sockets."""
@@ -214,6 +250,7 @@ class Rig:
     image: Image = field(default_factory=fresh_image)
     clock: StandingClock = field(default_factory=StandingClock)
     limit: int = 32
+    writers: dict[int, Writer] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.stats = Stats(self.clock.wall(), {"a": LineStats(is_up=True)})
@@ -222,10 +259,13 @@ class Rig:
         self.responder = Responder(units, identify, self.stats.tcp)
         self.places = Places(self.limit, self.stats.tcp)
 
-    def connect(self) -> Wire:
+    def connect(self, peer: str = "10.0.0.7") -> Wire:
         """Open a connection."""
-        wire = Wire()
-        wire.connection = Connection(self.responder, self.clock, self.places)
+        return self.attach(Wire(peer))
+
+    def attach(self, wire: Wire) -> Wire:
+        """Open a connection over a transport of one's own."""
+        wire.connection = Connection(self.responder, self.clock, self.places, self.writers)
         wire.connection.connection_made(wire)
         return wire
 
