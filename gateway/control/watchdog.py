@@ -85,7 +85,7 @@ def wanted(settings: ControlSettings, model: Model, facts: Mapping[str, int]) ->
     asked = {
         "timeout_action": settings.timeout_action,
         "timeout_detection": settings.timeout_detection,
-        "timeout": None if timeout is None else Decimal(str(timeout)),
+        "timeout": None if timeout is None else _exact(timeout),
     }
     for role, register in registers(model).items():
         value = asked[role]
@@ -104,7 +104,7 @@ def contradictions(section: DriveSection, model: Model) -> Iterator[tuple[str, s
             yield "communication_timeout", ambiguous
         elif (register := registers(model).get("timeout")) is not None:
             try:
-                register.encode(Decimal(str(timeout)))
+                register.encode(_exact(timeout))
             except OutOfRange as error:
                 yield "communication_timeout", f"{_number(register)}: {error} s"
     if section.control != "off" and section.on_loss == "quiesce" and timeout is None:
@@ -147,6 +147,11 @@ def _ambiguous(model: Model) -> str:
 def _number(register: Register) -> str:
     """Return a parameter's number as the panel shows it: F803 for 0803H."""
     return f"F{register.address & 0xFFF:03X}"
+
+
+def _exact(timeout: float) -> Decimal:
+    """Return a time as it was written: 700 times 0.001 is no 0.7."""
+    return Decimal(str(round(timeout, 6)))
 
 
 def seconds(model: Model, facts: Mapping[str, int]) -> float:
