@@ -41,6 +41,7 @@ def test_secrets_come_from_where_they_are_said_to_be(tmp_path: Path, monkeypatch
     assert "pump" not in repr(shown)
 
 
+@pytest.mark.hazard("H32")
 def test_tls_always_verifies() -> None:
     """Certificate and name, 1.2 at least."""
     context = access.read(section()).tls
@@ -51,6 +52,7 @@ def test_tls_always_verifies() -> None:
     assert access.read(section("mqtt://broker.example")).tls is None
 
 
+@pytest.mark.hazard("H32")
 def test_a_bridge_is_not_built_on_what_cannot_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The daemon does not start, and says which file or variable it was."""
     monkeypatch.delenv("NO_SUCH", raising=False)

@@ -132,6 +132,7 @@ async def test_all_of_a_tls_record_is_read(authority: Authority) -> None:
                 await log.until_said("Server busy (reason code 89H)")
 
 
+@pytest.mark.hazard("H32")
 async def test_a_missing_client_certificate_is_explained(authority: Authority) -> None:
     """TLS 1.3 says so after the handshake only."""
     with Mosquitto(*tls_lines(authority, "strict", "IP:127.0.0.1", is_client_asked=True)) as broker, Log() as log:
@@ -144,6 +145,7 @@ async def test_a_missing_client_certificate_is_explained(authority: Authority) -
 
 
 @pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")
+@pytest.mark.hazard("H32")
 async def test_a_broker_that_cannot_prove_itself_is_not_talked_to(authority: Authority, tmp_path: Path) -> None:
     """Signed by somebody else, or in another's name: closed, explained, and no CONNECT sent."""
     other = Authority(tmp_path, "other")
@@ -161,6 +163,7 @@ async def test_a_broker_that_cannot_prove_itself_is_not_talked_to(authority: Aut
 
 
 @pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")
+@pytest.mark.hazard("H32")
 async def test_tls_where_there_is_none_is_explained() -> None:
     """The usual mix-up of ports."""
     with Mosquitto() as broker, Log() as log:
