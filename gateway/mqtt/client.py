@@ -25,6 +25,7 @@ LARGEST_PACKET = 64 * 1024  # bytes that the broker may send us in one packet
 RECEIVE_MAXIMUM = 20  # messages of QoS 1 and 2 that may be under way to us
 IN_FLIGHT = 20  # messages of QoS 1 and 2 under way to the broker; Mosquitto takes no more as installed
 SEND_BUFFER = 256 * 1024  # bytes; what the kernel holds for a broker that does not read, no queue can bound
+RECEIVE_BUFFER = 64 * 1024  # bytes; of a flood no more is to be ahead of a stop, and no packet to grow unseen
 
 
 async def connect(section: MqttSection, gateway: str, in_flight: int) -> Made:
@@ -93,6 +94,7 @@ def _set_up(sock: Any) -> None:
     if sock is not None:
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
 
 
 class _Expiry:

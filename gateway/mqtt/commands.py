@@ -50,14 +50,16 @@ DIRECTIONS = {"forward": False, "reverse": True}
 class Message:
     """A message as it came, and what the broker says of it.
 
-    `is_retained`: the broker had kept it. `is_repeated`: it may have been delivered before. `expiry`: seconds for
-    which it is still good. `response_topic` and `correlation` are for the answer (MQTT 5).
+    `is_retained`: the broker had kept it. `is_repeated`: it may have been delivered before. `is_early`: it came before
+    the broker had confirmed the subscription. `expiry`: seconds for which it is still good. `response_topic` and
+    `correlation` are for the answer (MQTT 5).
     """
 
     topic: str
     payload: bytes
     is_retained: bool = False
     is_repeated: bool = False
+    is_early: bool = False
     expiry: int | None = None
     response_topic: str = ""
     correlation: bytes = b""
@@ -145,7 +147,7 @@ def read(message: Message, levels: Sequence[str], moment: Moment, model: Model |
 
 def _beat(drive: str, message: Message, moment: Moment) -> Beat | None:
     """Read a heartbeat: any payload, or JSON with `source` where its owner has a name, and `issued`."""
-    if message.is_retained or len(message.payload) > exact.LARGEST:
+    if message.is_retained or message.is_early or len(message.payload) > exact.LARGEST:
         return None
     name = ""
     if message.payload.lstrip().startswith(b"{"):
@@ -221,6 +223,8 @@ def _common(letter: _Letter, table: Mapping[str, Any]) -> Command:
     """Read who asks, the id, and until when it is good."""
     source = exact.name(table.get("source", ""), "source")
     known = exact.name(table.get("id", ""), "id")
+    if letter.message.is_early:
+        raise NotTaken(Reason.EXPIRED, "it came before the subscription was confirmed, perhaps from an earlier one")
     if letter.message.is_repeated and not known:
         raise NotTaken(Reason.EXPIRED, "it was delivered again, and has no id to tell whether it was done before")
     deadline = _deadline(table, letter.message.expiry, letter.moment)

@@ -116,6 +116,7 @@ class Connection:
         self._heard: list[Message] = []
         self._ears: Ears | None = None
         self._subscribed: dict[int, list[str]] = {}
+        self._is_subscribed = False
         self._news = asyncio.Event()
         self._wanted_room = 0
         self._error: Exception | None = None
@@ -175,6 +176,7 @@ class Connection:
                 payload=bytes(message.payload),
                 is_retained=bool(message.retain),
                 is_repeated=bool(message.dup),
+                is_early=not self._is_subscribed,
                 expiry=getattr(known, "MessageExpiryInterval", None),
                 response_topic=getattr(known, "ResponseTopic", ""),
                 correlation=getattr(known, "CorrelationData", b""),
@@ -182,6 +184,7 @@ class Connection:
         )
 
     def _on_subscribe(self, _client: Any, _data: Any, mid: int, codes: Sequence[Any], _properties: Any) -> None:
+        self._is_subscribed = True
         for topic, code in zip(self._subscribed.pop(mid, ()), codes, strict=False):
             if code.is_failure:
                 log.warning("no commands by %s: %s", topic, reasons.of_subscription(code.value, code.getName()))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -11,6 +13,7 @@ from gateway.clock import Alarm, Clock
 from gateway.control.command import Answer, Command, Reason, Result, Source, Status, Verb
 from gateway.control.door import Door
 from gateway.drives.model import Model
+from tests.mosquitto import LIMIT
 
 LEASED, DIRECT, READ_ONLY = "pump-1", "pump-2", "fan-1"
 
@@ -21,7 +24,7 @@ def small_site() -> site.Site:
     shared = {"model": "vf-nc3", "unwatched": True}
     drives = [
         {"name": LEASED, "number": 1, "control": "leased", **shared},
-        {"name": DIRECT, "number": 2, "control": "direct", **shared},
+        {"name": DIRECT, "number": 2, "control": "direct", "command_timeout": "10s", **shared},
         {"name": READ_ONLY, "number": 3, "model": "vf-nc3"},
     ]
     table = {"gateway": {"name": "hall-3"}, "line": [{"name": "a", "port": "/dev/null", "drive": drives}]}
@@ -55,11 +58,13 @@ class StandingClock:
 
 @dataclass(slots=True)
 class KeptDoor(Door):
-    """A door that keeps what comes to it, and whose commands end when a test says so."""
+    """A door that keeps what comes to it, and whose commands end when a test says so, or at once if `is_prompt`."""
 
     open: list[tuple[Command, Answer]] = field(default_factory=list)
     submitted: list[Command] = field(default_factory=list)
     beats: list[tuple[str, Source, object]] = field(default_factory=list)
+    is_prompt: bool = False
+    _news: asyncio.Event = field(default_factory=asyncio.Event)
     stopped_lines: list[tuple[str, Verb, Source]] = field(default_factory=list)
 
     @classmethod
@@ -75,10 +80,14 @@ class KeptDoor(Door):
             return
         self.submitted.append(command)
         self.open.append((command, answer))
+        if self.is_prompt:
+            self.finish()
+        self._news.set()
 
     def beat(self, drive: str, source: Source, beat: object) -> None:
         """Keep a heartbeat."""
         self.beats.append((drive, source, beat))
+        self._news.set()
 
     def stop_line(self, line: str, verb: Verb, source: Source, answer: Answer) -> None:
         """Keep a stop of a line, and say of each of its drives that it is done."""
@@ -86,6 +95,14 @@ class KeptDoor(Door):
         now = self.clock.now()
         for drive in self.lines.get(line, ()):
             self._end(Command(drive, verb, source, now, now), answer)
+        self._news.set()
+
+    async def until(self, condition: Callable[[], bool]) -> None:
+        """Wait until what came so far fulfils a condition."""
+        async with asyncio.timeout(LIMIT):
+            while not condition():
+                self._news.clear()
+                await self._news.wait()
 
     def finish(self, status: Status = Status.DONE, reason: Reason = Reason.NONE) -> None:
         """End every open command."""

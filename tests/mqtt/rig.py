@@ -9,8 +9,9 @@ import ssl
 import threading
 from collections.abc import AsyncIterator, Callable
 
-from gateway.clock import SystemClock
+from gateway.clock import Clock, SystemClock
 from gateway.config import MqttSection
+from gateway.control.door import Door
 from gateway.image import DriveImage, Image
 from gateway.metrics import MqttStats
 from gateway.mqtt.bridge import Bridge
@@ -43,16 +44,23 @@ class SkippingClock(SystemClock):
         """Return monotonic seconds, and what was skipped."""
         return super().now() + self._skipped
 
+    def wall(self) -> float:
+        """Return UTC seconds, and what was skipped."""
+        return super().wall() + self._skipped
+
 
 class Running:
     """A bridge at work, and the drives that it tells of."""
 
-    def __init__(self, port: int, image: Image | None = None, **settings: object) -> None:
+    def __init__(
+        self, port: int, image: Image | None = None, door: Callable[[Clock], Door] | None = None, **settings: object
+    ) -> None:
         self.image = image or drives.image(drives.drive(max_age=drives.LONG))
         self.stats = MqttStats()
         self.clock = SkippingClock()
-        table = {"url": f"mqtt://127.0.0.1:{port}", **SOON, **settings}
-        self.bridge = Bridge(MqttSection.model_validate(table), GATEWAY, self.image, self.stats, self.clock)
+        made = section(**{"url": f"mqtt://127.0.0.1:{port}", **settings})
+        behind = None if door is None else door(self.clock)
+        self.bridge = Bridge(made, GATEWAY, self.image, self.stats, self.clock, door=behind)
         self.task: asyncio.Task[None] | None = None
 
     @property
@@ -77,9 +85,11 @@ class Running:
 
 
 @contextlib.asynccontextmanager
-async def running(port: int, image: Image | None = None, **settings: object) -> AsyncIterator[Running]:
+async def running(
+    port: int, image: Image | None = None, door: Callable[[Clock], Door] | None = None, **settings: object
+) -> AsyncIterator[Running]:
     """Run a bridge to the broker on a port."""
-    made = Running(port, image, **settings)
+    made = Running(port, image, door, **settings)
     made.start()
     try:
         yield made

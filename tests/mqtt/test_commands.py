@@ -134,6 +134,15 @@ def test_a_repeated_delivery_counts_only_where_an_id_tells_it_apart() -> None:
     assert command("pump-1/command", "stop", is_repeated=True).verb is Verb.STOP
 
 
+@pytest.mark.hazard("H02")
+def test_what_comes_before_the_subscription_is_of_an_earlier_session() -> None:
+    """A broker that hoards does not get an old command carried out; a stop may come at any time."""
+    for topic, payload in (("command", {"command": "run", "id": "1"}), ("set/frequency", "30")):
+        assert refusal(f"pump-1/{topic}", payload, is_early=True).reason is Reason.EXPIRED
+    assert command("pump-1/command", "stop", is_early=True).verb is Verb.STOP
+    assert read("pump-1/heartbeat", "1", is_early=True) is None
+
+
 @pytest.mark.hazard("H01")
 @pytest.mark.parametrize("payload", ["run", "stop", {"command": "run", "id": "7"}, b"\xff", ""])
 @pytest.mark.parametrize("topic", ["pump-1/command", "pump-1/set/frequency", "line/a/command"])
