@@ -43,8 +43,12 @@ def controlled(on_loss: object = "stop", mode: str = "leased") -> DriveControl:
     assert drive.section is not None
     made = settings_of(drive.section)
     assert made is not None
-    stored = StoredWrites("d1", MemoryLedger(), Budget(10, 20, 1000, 5000), lambda: None, lambda _event, _reason: None)
-    return DriveControl(DriveState(drive, made, lambda _event, _reason: None), stored)
+    stored = StoredWrites("d1", MemoryLedger(), Budget(10, 20, 1000, 5000), lambda: None, _untold)
+    return DriveControl(DriveState(drive, made, _untold), stored)
+
+
+def _untold(_event: str, _reason: str) -> None:
+    """Take an event."""
 
 
 class CommandPath(RuleBasedStateMachine):

@@ -1,0 +1,132 @@
+"""Who may write what: sources, commands, registers, ranges, and the limits of configuration and drive."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway import site
+from gateway.control.admission import Admission, NotAdmitted, Plan
+from gateway.control.command import Channel, Command, Reason, Source, Verb
+from gateway.control.settings import settings_of
+
+PLC = Source(Channel.MODBUS_TCP, "10.0.0.7")
+PANEL = Source(Channel.MQTT, "panel")
+STRANGER = Source(Channel.MQTT, "stranger")
+RIGHTS = [
+    {"source": "modbus-tcp", "name": "10.0.0.*"},
+    {"source": "mqtt", "name": "panel", "commands": ["frequency", "set"], "registers": ["frequency_*"], "max": 40},
+]
+
+
+def admission(**more: Any) -> Admission:
+    """Return the admission of one VF-nC3."""
+    drive = {"name": "d1", "number": 1, "model": "vf-nc3", "control": "leased", **more}
+    table = {"gateway": {"name": "t"}, "line": [{"name": "a", "port": "/dev/null", "drive": [drive]}]}
+    built = site.build(table, "test", Path()).drives[0]
+    assert built.section is not None
+    settings = settings_of(built.section)
+    assert settings is not None
+    return Admission(built, settings)
+
+
+def plan(admitted: Admission, verb: Verb, source: Source, *, own: bool = True, **more: Any) -> Plan:
+    """Check and plan one command."""
+    value = more.pop("value", None)
+    known = more.pop("known", {"command": 0})
+    number = None if value is None else Decimal(value)
+    command = Command("d1", verb, source, 0.0, 1.0, value=number, **more)
+    admitted.check_right(command)
+    return admitted.plan(command, known, is_own=own)
+
+
+def refusal(admitted: Admission, verb: Verb, source: Source, **more: Any) -> Reason:
+    """Return why a command is refused."""
+    with pytest.raises(NotAdmitted) as refused:
+        plan(admitted, verb, source, **more)
+    return refused.value.reason
+
+
+@pytest.mark.hazard("H37")
+def test_a_channel_that_is_not_a_source_may_not_even_stop() -> None:
+    """Whatever a broker's own rules let through."""
+    admitted = admission(sources=["modbus-tcp"])
+    for verb in (Verb.STOP, Verb.EMERGENCY_STOP, Verb.FREQUENCY):
+        assert refusal(admitted, verb, PANEL, value="1") is Reason.NOT_PERMITTED
+    assert plan(admitted, Verb.STOP, PLC).is_stop
+
+
+@pytest.mark.hazard("H28", "H37")
+def test_rights_are_by_source_command_register_and_range() -> None:
+    """What no right covers is refused; stopping needs none."""
+    admitted = admission(right=RIGHTS)
+    assert plan(admitted, Verb.FREQUENCY, PANEL, value="40")
+    assert refusal(admitted, Verb.FREQUENCY, PANEL, value="40.01") is Reason.NOT_PERMITTED
+    assert refusal(admitted, Verb.RUN, PANEL) is Reason.NOT_PERMITTED
+    assert refusal(admitted, Verb.SET, PANEL, name="terminal_output", value="1") is Reason.NOT_PERMITTED
+    assert refusal(admitted, Verb.FREQUENCY, STRANGER, value="1") is Reason.NOT_PERMITTED
+    assert plan(admitted, Verb.STOP, STRANGER).is_stop
+    assert plan(admitted, Verb.RUN, PLC, value="50").is_motion
+
+
+@pytest.mark.hazard("H31")
+def test_a_frequency_outside_the_configured_range_is_refused_in_every_form() -> None:
+    """As a typed command, with a run command, by name, and raw."""
+    admitted = admission(frequency={"min": 5.0, "max": 40.0})
+    for verb, more in (
+        (Verb.FREQUENCY, {"value": "40.01"}),
+        (Verb.FREQUENCY, {"value": "4.99"}),
+        (Verb.RUN, {"value": "50"}),
+        (Verb.SET, {"name": "frequency_command", "value": "50"}),
+        (Verb.WORDS, {"address": 0xFA01, "words": (5000,)}),
+    ):
+        assert refusal(admitted, verb, PLC, **more) is Reason.RANGE
+    assert plan(admitted, Verb.FREQUENCY, PLC, value="40")
+
+
+@pytest.mark.hazard("H07", "H28")
+@pytest.mark.parametrize("address", [0x0800, 0x0801, 0x0802, 0x0829, 0x0007])
+def test_what_cuts_the_line_to_a_drive_is_never_written(address: int) -> None:
+    """F800-F802, F829, typ; not even with `allow_stored`. What the catalogue does not have is not written anyway."""
+    reason = refusal(admission(allow_stored=True), Verb.WORDS, PLC, address=address, words=(1,))
+    assert reason is (Reason.NOT_IN_MODEL if address == 0x0007 else Reason.FORBIDDEN)
+
+
+@pytest.mark.hazard("H22")
+def test_several_words_are_all_checked_before_the_first_is_sent() -> None:
+    """A good one in front of a bad one is not written either."""
+    admitted = admission(frequency={"max": 40.0})
+    reason = refusal(admitted, Verb.WORDS, PLC, address=0xFA00, words=(0xC400, 5000))
+    assert reason is Reason.RANGE
+
+
+@pytest.mark.parametrize(
+    ("word", "own", "is_stop"),
+    [
+        (0x8000, False, True),
+        (0xC000, False, True),
+        (0x9000, False, True),
+        (0x1400, False, True),  # emergency stop wins, and works without bit 15
+        (0x8400, False, False),
+        (0x8100, False, False),
+        (0x0000, False, False),  # gives the priority back: the terminals might start the motor
+        (0x0000, True, True),
+        (0xA000, True, False),  # a fault reset
+    ],
+)
+def test_a_raw_command_word_is_a_stop_when_it_stops(word: int, *, own: bool, is_stop: bool) -> None:
+    """And keeps the priority of commands, unless it is the owner's."""
+    made = plan(admission(), Verb.WORDS, PLC, own=own, address=0xFA00, words=(word,))
+    assert made.is_stop is is_stop
+    assert made.is_motion is (word in (0x8400, 0x8100))
+    assert made.is_reset is (word == 0xA000)
+
+
+def test_a_stop_within_a_block_goes_first() -> None:
+    """FA00 and FA01 in one request: a PLC's usual way."""
+    made = plan(admission(), Verb.WORDS, PLC, address=0xFA00, words=(0x8000, 0))
+    assert made.is_stop
+    assert [write.register.name for write in made.writes] == ["command", "frequency_command"]

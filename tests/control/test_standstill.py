@@ -1,0 +1,105 @@
+"""A gateway that stood still: what lay in its sockets meanwhile is as old as that (SAFETY.md H23)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway import site
+from gateway.control.command import Channel, Command, Reason, Result, Source, Status, Verb
+from gateway.control.door import STALLED, Door
+
+LEASE = 2.0  # seconds
+DASHBOARD = Source(Channel.MQTT, "dashboard")
+DRIVE: dict[str, Any] = {
+    "name": "d1",
+    "number": 1,
+    "model": "vf-nc3",
+    "control": "leased",
+    "lease": f"{LEASE}s",
+    "communication_timeout": "10s",
+    "timeout_action": "stop",
+}
+
+
+@dataclass
+class HandClock:
+    """A clock that is moved by hand."""
+
+    time: float = 1000.0
+
+    def now(self) -> float:
+        """Return monotonic seconds."""
+        return self.time
+
+    def wall(self) -> float:
+        """Return UTC seconds."""
+        return self.time
+
+    def alarm(self) -> Any:
+        """Make no timer: nobody waits here."""
+        raise NotImplementedError
+
+
+@pytest.fixture
+def door() -> Door:
+    """Return the door of a drive that is online and owned, its owner heard a moment ago."""
+    line = {"name": "a", "port": "/dev/null", "drive": [DRIVE]}
+    door = Door.of(site.build({"gateway": {"name": "t"}, "line": [line]}, "test", Path()), HandClock())
+    door.controls["d1"].on_online({"communication_timeout": 100, "timeout_action": 2}, {}, door.clock.now())
+    door.pulse()
+    assert ask(door, Verb.TAKE).status is Status.DONE
+    door.beat("d1", DASHBOARD, 1)
+    door.beat("d1", DASHBOARD, 2)
+    return door
+
+
+def ask(door: Door, verb: Verb) -> Result:
+    """Submit a command of the owner; return its result, which comes at once."""
+    now, results = door.clock.now(), list[Result]()
+    door.submit(Command("d1", verb, DASHBOARD, now, now + 1.0), results.append)
+    return results[0]
+
+
+def stand_still(door: Door, seconds: float) -> None:
+    """Let time pass without a sign of life of the event loop."""
+    assert isinstance(door.clock, HandClock)
+    door.clock.time += seconds
+
+
+@pytest.mark.hazard("H23")
+@pytest.mark.parametrize("seconds", [STALLED + 0.01, LEASE / 2, LEASE - 0.01])
+def test_a_heartbeat_read_after_a_standstill_counts_from_before_it(door: Door, seconds: float) -> None:
+    """Nobody knows when it was sent: the lease is no longer than if it had come before."""
+    lease = door.controls["d1"].lease
+    stood = door.clock.now()
+    stand_still(door, seconds)
+    door.beat("d1", DASHBOARD, 3)
+    assert lease.until == stood + LEASE
+
+
+@pytest.mark.hazard("H23")
+@pytest.mark.parametrize("seconds", [LEASE, 60.0])
+def test_after_a_standstill_longer_than_the_lease_nothing_brings_it_back(door: Door, seconds: float) -> None:
+    """Neither a heartbeat nor a command of the owner; the loss is dealt with before either is looked at."""
+    told: list[str] = []
+    door.on_event(lambda _drive, event, _reason: told.append(event))
+    stand_still(door, seconds)
+    door.beat("d1", DASHBOARD, 3)
+    assert door.controls["d1"].lease.owner is None
+    assert told[0] == "lease_lost"
+    result = ask(door, Verb.ARM)
+    assert (result.status, result.reason) == (Status.REFUSED, Reason.NOT_OWNER)
+
+
+def test_a_living_event_loop_counts_heartbeats_as_they_come(door: Door) -> None:
+    """The pulse comes ten times a second; what is a little late is no standstill."""
+    lease = door.controls["d1"].lease
+    for beat in range(3, 100):
+        stand_still(door, STALLED - 0.01)
+        door.beat("d1", DASHBOARD, beat)
+        assert lease.until == door.clock.now() + LEASE
+        door.pulse()
