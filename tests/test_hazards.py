@@ -122,11 +122,11 @@ class TestProofs:
         report = prove.Report(prove.FAILED, frozenset({TEST.place}), "")
         assert prove.judged(REMOVAL, report, [TEST]) == Proof(REMOVAL.digest, (TEST.node,))
 
-    def test_tests_with_other_programs_are_run_only_where_there_are_no_others(self) -> None:
+    def test_tests_with_other_programs_are_run_only_where_a_removal_says_so(self) -> None:
         """And those of the judge never."""
         slow, judge = replace(TEST, is_e2e=True), replace(TEST, file="tests/sim/test_x.py")
-        assert prove.tests_of(RULE, [TEST, slow, judge]) == [TEST]
-        assert prove.tests_of(RULE, [slow, judge]) == [slow]
+        assert prove.tests_of(REMOVAL, [TEST, slow, judge]) == [TEST]
+        assert prove.tests_of(replace(REMOVAL, e2e=True), [TEST, slow, judge]) == [slow]
 
 
 class TestPage:

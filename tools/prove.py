@@ -13,14 +13,14 @@ import subprocess
 import sys
 import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from tools import marks, rules
 from tools.locks import ROOT
 from tools.marks import MarkedTest
-from tools.rules import Proof, Removal, Rule
+from tools.rules import Proof, Removal
 
 LEFT_OUT = (".git", ".venv", "*_cache", "__pycache__", ".hypothesis", "build", "dist", "htmlcov", ".coverage*")
 LIMIT = 150.0  # seconds for the tests of one hazard
@@ -91,10 +91,10 @@ class Copy:
             path.write_text(source, encoding="utf-8")
 
 
-def tests_of(rule: Rule, found: Iterable[MarkedTest]) -> list[MarkedTest]:
-    """Return the gateway's own tests of a rule: the quick ones, or where there are none those with other programs."""
-    own = [test for test in found if rule.id in test.hazards and not test.is_of_the_judge]
-    return [test for test in own if not test.is_e2e] or own
+def tests_of(removal: Removal, found: Iterable[MarkedTest]) -> list[MarkedTest]:
+    """Return the gateway's own tests of a rule that are to fail without it: quick ones, or those with programs."""
+    own = [test for test in found if removal.hazard in test.hazards and not test.is_of_the_judge]
+    return [test for test in own if test.is_e2e is removal.e2e]
 
 
 def judged(removal: Removal, report: Report, tests: Iterable[MarkedTest]) -> Proof | str:
@@ -106,16 +106,25 @@ def judged(removal: Removal, report: Report, tests: Iterable[MarkedTest]) -> Pro
     return why.get(report.code, f"pytest ends with {report.code}: {report.text.strip()[-2000:]}")
 
 
-def prove(copy: Copy, rule: Rule, tests: list[MarkedTest], removals: Iterable[Removal]) -> Iterator[Proof | str]:
-    """Prove the removals of one rule: its tests pass with it, and one of them at least fails without it."""
-    report = copy.run(tests) if tests else Report(PASSED, frozenset(), "")
-    for removal in removals:
+class Prover:
+    """Proves removals in one copy; tests that have passed as it is are not run so again."""
+
+    def __init__(self, copy: Copy, found: Sequence[MarkedTest]) -> None:
+        self._copy = copy
+        self._found = found
+        self._as_it_is: dict[tuple[MarkedTest, ...], Report] = {}
+
+    def prove(self, removal: Removal) -> Proof | str:
+        """Return what a removal proves: its tests pass as it is, and one of them at least fails without the rule."""
+        tests = tuple(tests_of(removal, self._found))
         if not tests:
-            yield "there is no test"
-        elif report.code != PASSED:
-            yield f"the tests fail as it is: {report.text.strip()[-2000:]}"
-        else:
-            yield judged(removal, copy.without(removal, tests), tests)
+            return "there is no test"
+        if tests not in self._as_it_is:
+            self._as_it_is[tests] = self._copy.run(tests)
+        before = self._as_it_is[tests]
+        if before.code != PASSED:
+            return f"the tests fail as it is: {before.text.strip()[-2000:]}"
+        return judged(removal, self._copy.without(removal, tests), tests)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -124,17 +133,17 @@ def main(arguments: Sequence[str]) -> int:
     named = {argument for argument in arguments if argument != "--stale"} or set(rules.HAZARDS)
     is_well = True
     with Copy() as copy:
-        for rule in (rule for rule in known if rule.id in named):
-            wanted = [r for r in rule.removals if "--stale" not in arguments or r.digest not in proofs]
-            tests = tests_of(rule, found)
-            for removal, result in zip(wanted, prove(copy, rule, tests, wanted), strict=True):
-                if isinstance(result, Proof):
-                    proofs[removal.digest] = result
-                    result = f"{len(result.failed)} of {len(tests)} tests fail"
-                else:
-                    proofs.pop(removal.digest, None)
-                    is_well = False
-                print(f"{rule.id}  without {removal.takes}: {result}", flush=True)
+        prover = Prover(copy, found)
+        for removal in rules.removals(known):
+            if removal.hazard not in named or ("--stale" in arguments and removal.digest in proofs):
+                continue
+            result = prover.prove(removal)
+            is_well &= isinstance(result, Proof)
+            proofs.pop(removal.digest, None)
+            if isinstance(result, Proof):
+                proofs[removal.digest] = result
+                result = f"{len(result.failed)} tests fail"
+            print(f"{removal.hazard}  without {removal.takes}: {result}", flush=True)
             rules.write_proofs(proofs, known)
     return 0 if is_well else 1
 

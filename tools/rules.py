@@ -24,13 +24,17 @@ class WrongRule(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Removal:
-    """A small change of one file that takes a rule away; `takes` says in words what is gone then."""
+    """A small change of one file that takes a rule away; `takes` says in words what is gone then.
+
+    `e2e`: only tests with other programs can see that.
+    """
 
     hazard: str
     takes: str
     file: str
     old: str
     new: str
+    e2e: bool = False
 
     @property
     def digest(self) -> str:
