@@ -5,6 +5,8 @@ The simulated drive is the judge, by its own clock. `pytest -s` prints what was 
 
 from __future__ import annotations
 
+import json
+import resource
 import signal
 import time
 from collections.abc import Iterator
@@ -173,3 +175,25 @@ def test_a_gateway_that_is_to_hold_leaves_the_motor_to_the_next_one_or_to_f803(
         assert stage.is_running
         assert not [frame for _, frame in stage.requests(asked) if frame.startswith(FA00)]
         waits_for_trip(stage)
+
+
+@pytest.mark.hazard("H35")
+def test_a_full_disk_stops_no_command_but_writes_to_the_eeprom(
+    parts: tuple[SimulatedLine, Mosquitto], tmp_path: Path
+) -> None:
+    """The process may write to no file any more: the motor is still commanded, and no EEPROM is worn uncounted."""
+    line, broker = parts
+    line.do({"do": "power_cycle", "drive": 1})
+    with staged(line, broker, tmp_path, CONTROL + "allow_stored = true\n") as stage, Heartbeat(broker.port):
+        stage.run_motor(30.0)
+        stage.do(json.dumps({"command": "set", "name": "free_notes", "value": 7}))
+        worn = stage.drive["eeprom_writes"]
+        resource.prlimit(stage.process.pid, resource.RLIMIT_FSIZE, (0, 0))
+        result = stage.ask(json.dumps({"command": "set", "name": "free_notes", "value": 8}))
+        assert (result["status"], result["reason"]) == ("refused", "no_store")
+        stage.do(json.dumps({"command": "frequency", "frequency": 20}))
+        until(lambda: stage.drive["frequency"] == 20.0, "20 Hz")
+        stage.do("stop")
+        until(lambda: not stage.is_running, "the stop")
+        assert stage.drive["eeprom_writes"] == worn
+        assert stage.process.poll() is None
