@@ -51,9 +51,9 @@ class Longest:
 class WorstCase:
     """What a good exchange with a drive of one line may have to wait for, at the worst and all at once.
 
-    `blocking` is the exchange under way, whatever it is. `turns` are the keepalives of the controlled drives, each
-    lost once and asked again; `stops` what stopping each of them takes ahead of that; `broadcasts` the emergency
-    stops that are told to all.
+    `blocking` is the exchange under way, whatever it is. `turns` are the keepalives of the controlled drives: reads, or
+    frames of their commands, lost once and repeated. `stops` are what stopping each of them takes ahead of that,
+    `broadcasts` the emergency stops that are told to all.
     """
 
     blocking: Longest
@@ -123,12 +123,10 @@ class Refresh:
 def worst_case(line: Line) -> WorstCase:
     """Reckon a line: every drive may be dead, every controlled one may have an F803 and be stopped just now."""
     controlled = [drive for drive in line.drives if drive.is_controlled]
+    longest = {drive.name: _longest(line, drive, [*_reads(drive), *_writes(drive)]) for drive in line.drives}
     return WorstCase(
-        blocking=max(
-            (_longest(line, drive, [*_reads(drive), *_writes(drive)]) for drive in line.drives),
-            key=lambda longest: longest.seconds,
-        ),
-        turns={drive.name: TRIES * _longest(line, drive, _reads(drive)).seconds for drive in controlled},
+        blocking=max(longest.values(), key=lambda each: each.seconds),
+        turns={drive.name: TRIES * longest[drive.name].seconds for drive in controlled},
         stops={drive.name: STOPS_AHEAD * _longest(line, drive, _stops(drive)).seconds for drive in controlled},
         broadcasts=_broadcasts(line) if len(controlled) == len(line.drives) else 0.0,
     )
@@ -204,7 +202,7 @@ def _exchange(line: Line, codec: Codec, request: Request, processing: float) -> 
 
 
 def _reads(drive: Drive) -> list[Request]:
-    """Return the longest read of each form: what a keepalive may be, and its repetition."""
+    """Return the longest read of each form, an identification among them: it repeats what was lost."""
     number, blocks, forms = drive.number, drive.model.blocks, drive.codec.forms
     requests: list[Request] = [ReadWords(number, 0)]
     if forms.has_identification:

@@ -61,39 +61,38 @@ def by_hand(request: int, answer: int, processing: float = NC3) -> float:
 def test_modbus_rtu_by_hand() -> None:
     """One commanded VF-nC3 and one that is read only.
 
-    Under way: 06H to the EEPROM, 8 and 8 characters, 50 ms in the drive. Its own: an identification, 7 characters
-    and 64 at the most, twice. Nobody else is stopped; no broadcast, for the other drive may not be stopped.
+    06H to the EEPROM, 8 and 8 characters, 50 ms in the drive: one under way, and two that may be its own. Nobody
+    else is stopped; no broadcast, for the other drive may not be stopped.
     """
     line = built({}, read_only()).lines[0]
     (pump,) = refresh.refreshes(line)
     assert pump.worst.blocking.seconds == pytest.approx(by_hand(8, 8, EEPROM))
     assert pump.worst.blocking.what == "p1: write to the EEPROM"
-    assert pump.worst.turns == {"p1": pytest.approx(2 * by_hand(7, 64))}
+    assert pump.worst.turns == {"p1": pytest.approx(2 * by_hand(8, 8, EEPROM))}
     assert (pump.worst.stopping, pump.worst.broadcasts) == (0, 0)
-    assert pump.worst.lead == pytest.approx(0.12060 + 0.24006, abs=1e-5)
+    assert pump.worst.lead == pytest.approx(3 * 0.12060417, abs=1e-5)
     assert pump.interval == pytest.approx(0.5)
     assert pump.is_kept
-    assert pump.margin == pytest.approx(0.27867, abs=1e-5)
+    assert pump.margin == pytest.approx(0.27637, abs=1e-5)
 
 
 @pytest.mark.hazard("H06")
 @pytest.mark.hazard("H30")
 def test_toshiba_ascii_by_hand() -> None:
-    """Two commanded VF-nC3: reads of 13 and 17 characters, P of 17 and 17; F803 goes to RAM.
+    """Two commanded VF-nC3: P of 17 and 17 characters is longer than R of 13 and 17; F803 goes to RAM.
 
     The broadcast is answered by a drive numbered 00, if there is one: it takes as long as any write.
     """
     line = built(*[{"protocol": "toshiba-ascii"}] * 2).lines[0]
     worst = refresh.worst_case(line)
-    write, read = by_hand(17, 17), by_hand(13, 17)
+    write = by_hand(17, 17)
     assert worst.blocking.seconds == pytest.approx(write)
     assert worst.blocking.what == "p1: write"
-    assert worst.turns == {"p1": pytest.approx(2 * read), "p2": pytest.approx(2 * read)}
+    assert worst.turns == {"p1": pytest.approx(2 * write), "p2": pytest.approx(2 * write)}
     assert worst.stopping == pytest.approx(2 * write)
     assert worst.broadcasts == pytest.approx(write)
-    assert worst.lead == pytest.approx(4 * write + 4 * read)
-    assert worst.lead == pytest.approx(0.76192, abs=1e-5)
-    assert worst.least_timeout == Decimal("2.3")
+    assert worst.lead == pytest.approx(8 * 0.09638542)
+    assert worst.least_timeout == Decimal("2.4")
 
 
 @pytest.mark.hazard("H06")
@@ -167,9 +166,9 @@ def test_what_cannot_be_kept_is_refused_with_the_sum_and_what_to_do() -> None:
     (first, second, third) = refresh.refusals(built({}, {}, {"communication_timeout": "3.6s"}))
     assert first == (
         "line[0].drive[0] (p1).communication_timeout: F803 1.5 s: a good exchange is due every 0.500 s;"
-        " worst case 1.210 s = 0.121 an exchange under way (p1: write to the EEPROM)"
-        " + 0.480 keepalive of p2, p3, lost once and repeated + 0.342 stop of p2, p3"
-        " + 0.027 emergency stop of the whole line + 0.240 its own exchange, lost once and repeated: NOT KEPT;"
+        " worst case 1.213 s = 0.121 an exchange under way (p1: write to the EEPROM)"
+        " + 0.482 keepalive of p2, p3, lost once and repeated + 0.342 stop of p2, p3"
+        " + 0.027 emergency stop of the whole line + 0.241 its own exchange, lost once and repeated: NOT KEPT;"
         " set communication_timeout to 3.7 s or more; or lower answer_margin (50 ms) as far as adapter or network"
         " permit; or raise F800 and line.baud to 38400; or command fewer than 3 drives on this line"
     )
