@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from enum import IntEnum
 
 from gateway.control.command import Reason, Result, Status
-from gateway.image import Missing
+from gateway.image import LinkState, Missing
 
 
 class ExceptionCode(IntEnum):
@@ -62,15 +62,16 @@ REFUSED: Mapping[Reason, ExceptionCode] = {  # nothing was sent
 TARGET_LOST = frozenset((Reason.NO_ANSWER, Reason.OFFLINE))
 
 
-def exception_of(result: Result) -> ExceptionCode | None:
-    """Return the exception that tells a result; None where it is done.
+def exception_of(result: Result, link: LinkState = LinkState.ONLINE) -> ExceptionCode | None:
+    """Return the exception that tells a result; None where it is done. `link` is that of its drive.
 
     What was sent and failed is never told by a code that says that nothing was sent (01, 02, 03, 06).
     """
     if result.status is Status.DONE:
         return None
     if result.status is Status.REFUSED:
-        return REFUSED[result.reason]
+        is_line_down = link is LinkState.LINE_DOWN and result.reason is Reason.OFFLINE
+        return REFUSED[Reason.LINE_DOWN if is_line_down else result.reason]
     if result.status is Status.UNKNOWN or result.reason in TARGET_LOST:
         return ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND
     return ExceptionCode.SERVER_DEVICE_FAILURE

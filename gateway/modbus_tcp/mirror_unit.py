@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 from gateway.control.command import Result, Source
 from gateway.control.door import Door
-from gateway.image import LinkState, Missing
+from gateway.image import Image, LinkState, Missing
 from gateway.modbus_tcp.codes import ExceptionCode, exception_of
 from gateway.modbus_tcp.gateway_unit import NO_VALUE, REGISTERS_PER_DRIVE, VALUES, VALUES_AT, GatewayUnit
 from gateway.modbus_tcp.line_stops import LineStops, Tell
@@ -39,13 +39,14 @@ SHOWN = {  # places that show a value of the compact map
 
 
 class MirrorUnit:
-    """Reads and writes of unit 255. `drives` are in the order of the file, as in the compact map."""
+    """Reads and writes of unit 255; drives and lines are in the order of the file, as in the compact map."""
 
     link = LinkState.ONLINE
 
-    def __init__(self, drives: tuple[str, ...], door: Door, gateway_unit: GatewayUnit) -> None:
+    def __init__(self, image: Image, door: Door, gateway_unit: GatewayUnit) -> None:
         self.identity = gateway_unit.identity
-        self._drives = drives
+        self._image = image
+        self._drives = tuple(image.by_name)
         self._door = door
         self._gateway_unit = gateway_unit
         self._commands = MirrorCommands(door)
@@ -66,7 +67,7 @@ class MirrorUnit:
 
     def _begin(self, request: WriteRequest, source: Source, reply: Reply) -> float:
         def tell(result: Result | None) -> None:
-            code = None if result is None else exception_of(result)
+            code = None if result is None else exception_of(result, self._link(result.command.drive))
             reply(answered(request, self, self._door.clock.now()) if code is None else code)
 
         first = request.address - LINES_AT
@@ -76,6 +77,9 @@ class MirrorUnit:
         drive, words = self._of_one_drive(request)
         self._commands.write(drive, words, source, tell)
         return patience(self._door.controls[drive].settings)
+
+    def _link(self, drive: str) -> LinkState:
+        return self._image.by_name[drive].link if drive in self._image.by_name else LinkState.ONLINE
 
     def _stop_lines(self, lines: tuple[str, ...], request: WriteRequest, source: Source, tell: Tell) -> None:
         if not all(self._stops.drives(line) for line in lines):

@@ -68,7 +68,7 @@ class ModbusTcpServer:
                 commanded = CommandedUnit(drive, door)
                 units[drive.drive.unit] = commanded
                 self._writers[drive.drive.unit] = DriveWriter(drive.drive.name, door, commanded)
-        mirror = MirrorUnit(tuple(drive.drive.name for drive in image.drives), door, gateway_unit)
+        mirror = MirrorUnit(image, door, gateway_unit)
         units[UNIT] = mirror
         self._writers[UNIT] = mirror
 

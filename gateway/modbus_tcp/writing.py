@@ -60,7 +60,7 @@ class DriveWriter:
 
     def _answer(self, request: WriteRequest, result: Result) -> bytes | ExceptionCode:
         self._unit.learn(result)  # what 17H reads next
-        code = exception_of(result)
+        code = exception_of(result, self._unit.link)
         return answered(request, self._unit, self._door.clock.now()) if code is None else code
 
 
