@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from math import isfinite
+from zlib import crc32
 
 from gateway.control.ledger import Entry
 from gateway.control.wear import Key, Wear
 
 VERSION = 1
 APPLICATION = 0x54564757  # "TVGW": stands in the header of every file of ours
-MOST_WRITES = 1_000_000_000  # a greater count is no count
 
 TABLES = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE eeprom_writes (
   drive TEXT NOT NULL, number INTEGER NOT NULL, writes INTEGER NOT NULL CHECK (writes >= 0),
-  pace REAL NOT NULL, last REAL NOT NULL, PRIMARY KEY (drive, number)
+  pace REAL NOT NULL, last REAL NOT NULL, crc INTEGER NOT NULL, PRIMARY KEY (drive, number)
 ) WITHOUT ROWID;
 CREATE TRIGGER eeprom_writes_only_go_up BEFORE UPDATE ON eeprom_writes
   WHEN NEW.writes < OLD.writes OR NEW.drive IS NOT OLD.drive OR NEW.number IS NOT OLD.number
@@ -38,11 +37,11 @@ CREATE TRIGGER audit_keeps_what_is_recent BEFORE DELETE ON audit
   BEGIN SELECT RAISE(ABORT, 'the audit is kept'); END;
 """
 COUNT = """
-INSERT INTO eeprom_writes (drive, number, writes, pace, last) VALUES (?, ?, ?, ?, ?)
-ON CONFLICT (drive, number) DO UPDATE SET writes = max(writes, excluded.writes), pace = excluded.pace,
-  last = excluded.last
+INSERT INTO eeprom_writes (drive, number, writes, pace, last, crc) VALUES (?, ?, ?, ?, ?, ?)
+ON CONFLICT (drive, number) DO UPDATE SET writes = excluded.writes, pace = excluded.pace, last = excluded.last,
+  crc = excluded.crc WHERE excluded.writes >= writes
 """
-COUNTS = "SELECT drive, number, writes, pace, last FROM eeprom_writes"
+COUNTS = "SELECT drive, number, writes, pace, last, crc FROM eeprom_writes"
 APPEND = """
 INSERT INTO audit (time, drive, kind, source, verb, command_id, value, before, words, read_back, status, reason, text)
 VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)
@@ -67,18 +66,22 @@ class Saved:
 
 def rows_of(counts: Mapping[Key, Wear]) -> list[Row]:
     """Return the rows of counts, for COUNT."""
-    return [(*key, wear.writes, wear.pace, wear.last) for key, wear in counts.items()]
+    return [(*key, wear.writes, wear.pace, wear.last, _crc(key, wear)) for key, wear in counts.items()]
 
 
-def counts_of(rows: Iterable[Row]) -> Iterator[tuple[Key, Wear]]:
-    """Yield the counts in rows of COUNTS, but for those that cannot be any: a damaged file may hold anything."""
-    for drive, number, writes, pace, last in rows:
-        if not (isinstance(drive, str) and isinstance(number, int) and isinstance(writes, int)):
-            continue
-        if not (isinstance(pace, float) and isinstance(last, float) and isfinite(pace) and isfinite(last)):
-            continue
-        if 0 <= writes <= MOST_WRITES:
-            yield (drive, number), Wear(writes, pace, last)
+def count_of(row: Row) -> tuple[Key, Wear] | None:
+    """Return the count in a row of COUNTS; None where it is not as it was written: SQLite does not look at values."""
+    drive, number, writes, pace, last, crc = row
+    if not (isinstance(drive, str) and isinstance(number, int) and isinstance(writes, int)):
+        return None
+    if not (isinstance(pace, float) and isinstance(last, float)):
+        return None
+    key, wear = (drive, number), Wear(writes, pace, last)
+    return (key, wear) if crc == _crc(key, wear) else None
+
+
+def _crc(key: Key, wear: Wear) -> int:
+    return crc32(repr((*key, wear.writes, wear.pace, wear.last)).encode())
 
 
 def row_of(entry: Entry) -> Row:

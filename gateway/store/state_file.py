@@ -13,7 +13,7 @@ import os
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from glob import escape
 from pathlib import Path
@@ -67,7 +67,7 @@ class StateFile:
     def read(self) -> Saved:
         """Return all counts."""
         with translated(self.path):
-            return _saved(self._connection)
+            return _saved(self._connection, self.path)
 
     def write(self, counts: Mapping[Key, Wear]) -> None:
         """Write counts, all together and for good when this returns; none goes down."""
@@ -82,10 +82,11 @@ class StateFile:
 
     def accept(self, writes: int) -> None:
         """Take every parameter to have been written `writes` times at least: the counts are then whole again."""
-        begins_at = max(writes, self.read().begins_at)
+        saved = self.read()
+        counts = {key: replace(wear, writes=max(writes, wear.writes)) for key, wear in saved.wear.items()}
         with translated(self.path), self._transaction() as connection:
-            connection.execute("UPDATE eeprom_writes SET writes = max(writes, ?)", (writes,))
-            connection.execute(schema.NOTE, ("begins_at", str(begins_at)))
+            connection.executemany(schema.COUNT, schema.rows_of(counts))
+            connection.execute(schema.NOTE, ("begins_at", str(max(writes, saved.begins_at))))
             connection.execute("DELETE FROM meta WHERE key = 'lost'")
 
     def close(self) -> None:
@@ -110,7 +111,7 @@ class StateFile:
 def look(path: Path) -> Saved:
     """Return what a file holds, without a lock, also while the gateway has it; StoreAway where there is none."""
     with translated(path), contextlib.closing(_connected_to_read(path)) as connection:
-        return _saved(connection)
+        return _saved(connection, path)
 
 
 def begin_anew(path: Path, now: float, begins_at: int | None) -> str:
@@ -182,10 +183,19 @@ def _connected_to_read(path: Path) -> sqlite3.Connection:
     return sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", timeout=BUSY_WAIT, uri=True)
 
 
-def _saved(connection: sqlite3.Connection) -> Saved:
+def _saved(connection: sqlite3.Connection, path: Path) -> Saved:
+    connection.text_factory = _text
     meta = dict(connection.execute("SELECT key, value FROM meta"))
-    counts = dict(schema.counts_of(connection.execute(schema.COUNTS)))
-    return Saved(counts, int(meta.get("begins_at", "0")), meta.get("lost", ""))
+    counts = [schema.count_of(row) for row in connection.execute(schema.COUNTS)]
+    begins_at = meta.get("begins_at", "")
+    if None in counts or not begins_at.isdecimal():
+        raise StoreDamaged(f"{path} is damaged: a count is not as it was written")
+    return Saved(dict(filter(None, counts)), int(begins_at), meta.get("lost", ""))
+
+
+def _text(raw: bytes) -> str:
+    """Read what may be no text at all in a damaged file."""
+    return raw.decode(errors="replace")
 
 
 def _create(path: Path, saved: Saved) -> None:
@@ -234,7 +244,9 @@ def _salvaged(aside: Path) -> dict[Key, Wear]:
     """Return the counts that a damaged file still tells."""
     found: dict[Key, Wear] = {}
     with contextlib.suppress(sqlite3.Error), contextlib.closing(_connected_to_read(aside)) as connection:
-        found.update(schema.counts_of(connection.execute(schema.COUNTS)))
+        connection.text_factory = _text
+        rows = connection.execute(schema.COUNTS)
+        found.update(count for row in rows if (count := schema.count_of(row)) is not None)
     return found
 
 

@@ -169,7 +169,7 @@ class Store:
         self._is_loaded = True
         self._lost = f"{saved.lost}; accept a count by `tosvert-gateway store accept`" if saved.lost else ""
         if self._lost:
-            log.error("%s: writes to the EEPROM are refused until then", self._lost)
+            log.error("writes to the EEPROM are refused: %s", self._lost)
         if self._problem not in ("", NOT_YET, ENDED):
             log.info("%s is open again", self.path)
         self._problem = self._problem if self._problem == ENDED else ""

@@ -120,7 +120,8 @@ class StoreThread:
     def _opened(self) -> StateFile:
         """Open the file, or a new one in the place of one that is damaged."""
         if self._is_damaged:
-            log.error("%s", begin_anew(self._path, time.time(), self._begins_at))
+            told = begin_anew(self._path, time.time(), self._begins_at)
+            log.error("%s; a new file is begun", told)
             self._is_damaged = False
         file = StateFile.open(self._path, self._audit_rows, time.time(), is_checked=self._is_unchecked)
         try:
