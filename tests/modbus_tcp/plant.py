@@ -72,8 +72,18 @@ class ListeningDoor(Door):
         return self.controls[drive].state
 
 
+SITES: dict[str, site.Site] = {}  # those built before: the catalogue is read once
+
+
 def site_of(drives: Sequence[dict[str, Any]], lines: int = 1) -> site.Site:
-    """Build a site: drives d1, d2 ... of one model, a line each `lines`."""
+    """Return a site: drives d1, d2 ... of one model, evenly on so many lines."""
+    key = repr((drives, lines))
+    if key not in SITES:
+        SITES[key] = _build(drives, lines)
+    return SITES[key]
+
+
+def _build(drives: Sequence[dict[str, Any]], lines: int) -> site.Site:
     every = [{"name": f"d{i}", "number": i, "model": "vf-nc3", **CONTROL, **more} for i, more in enumerate(drives, 1)]
     share = -(-len(every) // lines)
     table = {
@@ -92,8 +102,9 @@ class Listening:
     def __init__(self, *drives: dict[str, Any], lines: int = 1) -> None:
         self.clock = StandingClock()
         self.site = site_of(drives or [{}], lines)
-        self.door = ListeningDoor.of(self.site, self.clock)
-        assert isinstance(self.door, ListeningDoor)
+        door = ListeningDoor.of(self.site, self.clock)
+        assert isinstance(door, ListeningDoor)
+        self.door = door
         self.image = Image(self.site.drives)
         for image in self.image.drives:
             image.set_link(LinkState.ONLINE)
