@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import ceil
 
 from gateway.config import StoredWritesSection
 
@@ -55,7 +56,7 @@ class Budget:
         if wait > 0:
             text = (
                 f"the EEPROM may be written {self.burst} times at once and {self.per_hour:g} times an hour"
-                f" (stored_writes); the next write may be made in {wait:.0f} s"
+                f" (stored_writes); the next write may be made in {ceil(wait)} s"
             )
             return Refusal(False, text)
         return None
