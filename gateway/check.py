@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
-from gateway.bus import groups, selectors
+from gateway import check_control, site
+from gateway.bus import groups, refresh, selectors
 from gateway.bus.blocks import Abilities, PlannedRead, Planner
 from gateway.bus.reader import DriveReader
+from gateway.errors import BadConfig
 from gateway.protocol.pdu import ReadBlock
 from gateway.protocol.registry import PROTOCOLS
 from gateway.site import Drive, Line, PollGroup, Site
@@ -45,10 +48,24 @@ def plan_drive(drive: Drive, line: Line, *, with_selectors: bool) -> DrivePlan:
     return DrivePlan(drive, planner, codes, reader.plan())
 
 
-def report(site: Site) -> Iterator[str]:
+def load(path: Path) -> Site:
+    """Read a configuration file to run it; BadConfig for all that `site.load` and `refuse` find wrong."""
+    configured = site.load(path)
+    refuse(configured, path)
+    return configured
+
+
+def refuse(configured: Site, path: Path) -> None:
+    """Raise BadConfig with the arithmetic where a communication time-out cannot be kept (SAFETY.md H06, H30)."""
+    if refusals := refresh.refusals(configured):
+        raise BadConfig("\n".join(f"{path}: {refusal}" for refusal in refusals))
+
+
+def report(configured: Site) -> Iterator[str]:
     """Yield the plan of a site as lines of text."""
-    yield f"gateway {site.config.gateway.name}: {len(site.lines)} lines, {len(site.drives)} drives"
-    for line in site.lines:
+    name, lines, drives = configured.config.gateway.name, configured.lines, configured.drives
+    yield f"gateway {name}: {len(lines)} lines, {len(drives)} drives"
+    for line in lines:
         yield from _line(line)
 
 
@@ -60,8 +77,11 @@ def _line(line: Line) -> Iterator[str]:
     yield f"  gap between frames {line.timing.gap * 1000:.2f} ms; an answer may come {line.margin * 1000:.0f} ms late"
     yield f"  load with F875-F879 as below: {_load(best)};  as shipped (all 0): {_load(shipped)}"
     yield from _advice(shipped, best)
+    yield from check_control.line(line)
+    worst = refresh.worst_case(line)
     for plan in best:
         yield from _drive(plan)
+        yield from check_control.drive(plan.drive, worst)
     for group in line.groups:
         members = [drive for drive in line.drives if drive.name in group.drives]
         frames = groups.reach(members, line.drives)

@@ -85,7 +85,7 @@ def run(
     loop: Annotated[str | None, typer.Option(help="uvloop or asyncio, instead of gateway.loop")] = None,
 ) -> None:
     """Run the gateway until SIGTERM or SIGINT."""
-    configured = site.load(file)
+    configured = check.load(file)
     section = configured.config.gateway
     logs.set_up(section.log.level, section.log.format)
     chosen = loop or section.loop
@@ -105,7 +105,7 @@ async def _run(configured: site.Site, file: Path) -> None:
     logs.watch_loop(asyncio.get_running_loop())
     successor: site.Site | None = configured
     while successor is not None:
-        gateway = App(successor, load=lambda: site.load(file))
+        gateway = App(successor, load=lambda: check.load(file))
         await gateway.run()
         successor = gateway.successor
 
@@ -124,6 +124,7 @@ def check_file(file: ConfigFile) -> None:
     if configured.config.modbus_tcp is not None:
         typer.echo(f"\nMODBUS-TCP on {configured.config.modbus_tcp.listen}")
         typer.echo(mapping.as_markdown(mapping.register_map(configured)))
+    check.refuse(configured, file)
     typer.echo(f"\n{file}: no errors")
 
 

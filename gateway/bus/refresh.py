@@ -27,6 +27,7 @@ from gateway.protocol.pdu import (
 from gateway.site import Drive, Line, Site
 
 OWN_TIME = 0.003  # of the gateway for each exchange: waits in whole milliseconds, decoding, publishing
+KEEPALIVE_SHARE = 0.8  # of the line at the most, while nothing goes wrong
 GAPS = 4  # before the request, behind it, and two of silence behind an answer that was late or damaged
 LONGEST_TIMEOUT = Decimal(100)  # of F803 (E6581657 6.3)
 MANY = 4  # drives that are counted, not named
@@ -51,15 +52,17 @@ class Longest:
 class WorstCase:
     """What a good exchange with a drive of one line may have to wait for, at the worst and all at once.
 
-    `blocking` is the exchange under way, whatever it is. `turns` are the keepalives of the controlled drives: reads, or
-    frames of their commands, lost once and repeated. `stops` are what stopping each of them takes ahead of that,
-    `broadcasts` the emergency stops that are told to all.
+    `blocking` is the exchange under way, whatever it is. `turns` are the keepalives of the controlled drives, reads
+    or frames of their commands, lost once and repeated. `stops` are what stopping each of them takes ahead of that,
+    `broadcasts` the emergency stops that are told to all. `room` is by how much an interval has to be longer than
+    all that, so that keepalives leave a fifth of the line to everything else while nothing goes wrong.
     """
 
     blocking: Longest
     turns: Mapping[str, float]
     stops: Mapping[str, float]
     broadcasts: float
+    room: float = 0.0
 
     @property
     def stopping(self) -> float:
@@ -72,9 +75,14 @@ class WorstCase:
         return self.blocking.seconds + sum(self.turns.values()) + self.stopping + self.broadcasts
 
     @property
+    def least_interval(self) -> float:
+        """Return the shortest time between two good exchanges that can be promised."""
+        return self.lead + self.room
+
+    @property
     def least_timeout(self) -> Decimal:
         """Return the shortest F803 that can be kept, in its steps of 0.1 s."""
-        return (PER_TIMEOUT * Decimal(str(self.lead))).quantize(Decimal("0.1"), ROUND_CEILING)
+        return (PER_TIMEOUT * Decimal(str(self.least_interval))).quantize(Decimal("0.1"), ROUND_CEILING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,18 +101,18 @@ class Refresh:
     @property
     def is_kept(self) -> bool:
         """Say whether it can be had whatever the line is doing."""
-        return self.worst.lead <= self.interval
+        return self.worst.least_interval <= self.interval
 
     @property
     def margin(self) -> float:
         """Return what share of the interval is left in the worst case; negative where it is not kept."""
-        return 1 - self.worst.lead / self.interval
+        return 1 - self.worst.least_interval / self.interval
 
     def __str__(self) -> str:
-        verdict = f"kept, margin {self.margin:.0%}" if self.is_kept else "NOT KEPT"
+        verdict = f"kept, margin {self.margin:.0%}" if self.is_kept else "TOO SHORT"
         return (
             f"F803 {self.timeout:.1f} s: a good exchange is due every {self.interval:.3f} s;"
-            f" worst case {self.worst.lead:.3f} s = {' + '.join(self._terms())}: {verdict}"
+            f" worst case {self.worst.least_interval:.3f} s = {' + '.join(self._terms())}: {verdict}"
         )
 
     def _terms(self) -> Iterator[str]:
@@ -118,6 +126,7 @@ class Refresh:
         if worst.broadcasts:
             yield f"{worst.broadcasts:.3f} emergency stop of the whole line"
         yield f"{own:.3f} its own exchange, lost once and repeated"
+        yield f"{worst.room:.3f} room for all else"
 
 
 def worst_case(line: Line) -> WorstCase:
@@ -129,6 +138,7 @@ def worst_case(line: Line) -> WorstCase:
         turns={drive.name: TRIES * longest[drive.name].seconds for drive in controlled},
         stops={drive.name: STOPS_AHEAD * _longest(line, drive, _stops(drive)).seconds for drive in controlled},
         broadcasts=_broadcasts(line) if len(controlled) == len(line.drives) else 0.0,
+        room=sum(_glance(line, drive) for drive in controlled) / KEEPALIVE_SHARE,
     )
 
 
@@ -190,6 +200,13 @@ def at_most(line: Line, drive: Drive, request: Request) -> float:
     times = drive.model.times
     processing = (times.eeprom if isinstance(request, WriteStored) else times.processing) + drive.wait_time
     return _exchange(line, drive.codec, request, processing)
+
+
+def _glance(line: Line, drive: Drive) -> float:
+    """Return how long a keepalive takes that goes well: a single read."""
+    codec, read = drive.codec, ReadWords(drive.number, 0)
+    processing = drive.model.times.processing + drive.wait_time
+    return OWN_TIME + line.timing.exchange(len(codec.encode(read)), codec.answer_size(read), processing)
 
 
 def _exchange(line: Line, codec: Codec, request: Request, processing: float) -> float:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from gateway.bus.keepalive import BROADCASTS_AHEAD, PER_TIMEOUT, STOPS_AHEAD, TRIES, Keepalive
 from gateway.bus.link import SILENCES_TO_OFFLINE
-from gateway.bus.refresh import Longest, WorstCase
+from gateway.bus.refresh import KEEPALIVE_SHARE, Longest, WorstCase
 
 LEAD = 0.2  # seconds
 NOBODY = "nobody"  # a drive that is polled, or probed in vain, and has no F803
@@ -305,3 +305,22 @@ def test_the_worst_case_is_reached_and_no_more_is_reckoned_than_that() -> None:
             now += worst.stops[name] / STOPS_AHEAD
             keepalive.heard(name, now)
     assert now == pytest.approx(2 * worst.lead)
+
+
+@pytest.mark.hazard("H30")
+def test_a_fifth_of_the_line_is_left_to_everything_else() -> None:
+    """Drives that nothing but the keepalive talks to, each with the shortest F803 that may be configured."""
+    read, poll, names = 0.031, 0.04, [f"d{place}" for place in range(8)]
+    worst = WorstCase(Longest(0.12, ""), dict.fromkeys(names, 0.24), {}, 0.0, len(names) * read / KEEPALIVE_SHARE)
+    keepalive, now, polled = Keepalive(worst.lead), 0.0, 0.0
+    for name in names:
+        keepalive.arm(name, PER_TIMEOUT * worst.least_interval)
+        keepalive.heard(name, 0.0)
+    while now < 100.0:
+        if (drive := keepalive.due(now)) is not None:
+            now += read
+            keepalive.heard(drive, now)
+        else:
+            now += poll
+            polled += poll
+    assert 0.2 <= polled / now < 0.4
