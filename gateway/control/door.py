@@ -92,16 +92,27 @@ class Door:
         """Take a command; its one result goes to `answer` and to every listener, at once where it is refused."""
         control = self.controls.get(command.drive)
         if control is None:
-            self._refuse(command, answer)
+            self._refuse_unknown(command, answer)
             return
-        control.submit(command, self._answering(answer), self.clock.now())
+        now = self.clock.now()
+        if not command.verb.is_stopping and self._stood_still(now) > command.deadline - command.received:
+            control.tick(now)
+            self._refuse(command, answer, Reason.EXPIRED, "it may have lain here while the gateway stood still")
+        else:
+            control.submit(command, self._answering(answer), now)
         self._ring(command.drive)
 
-    def _refuse(self, command: Command, answer: Answer) -> None:
+    def _stood_still(self, now: float) -> float:
+        """Return for how long the event loop had stood still when it read what it reads now; 0 where it had not."""
+        return now - self.awake if self.awake > 0 and now - self.awake > STALLED else 0.0
+
+    def _refuse_unknown(self, command: Command, answer: Answer) -> None:
         if command.drive in self._known:
-            reason, text = Reason.NOT_CONTROLLED, 'control = "off": this drive is read only'
+            self._refuse(command, answer, Reason.NOT_CONTROLLED, 'control = "off": this drive is read only')
         else:
-            reason, text = Reason.UNKNOWN_DRIVE, f"no drive {command.drive!r}"
+            self._refuse(command, answer, Reason.UNKNOWN_DRIVE, f"no drive {command.drive!r}")
+
+    def _refuse(self, command: Command, answer: Answer, reason: Reason, text: str) -> None:
         self._answering(answer)(Result(command, Status.REFUSED, reason, text))
 
     def _answering(self, answer: Answer) -> Answer:
@@ -122,7 +133,7 @@ class Door:
         until = now + LINE_STOP_WITHIN
         commands = [Command(name, verb, source, now, until) for name in names if name in self.controls]
         if not commands:
-            self._refuse(Command(line, verb, source, now, now), answer)
+            self._refuse_unknown(Command(line, verb, source, now, now), answer)
             return
         is_announced = verb is Verb.EMERGENCY_STOP and self._announce(names, source)
         for command in commands:
@@ -152,7 +163,7 @@ class Door:
             return
         now = self.clock.now()
         control.tick(now)
-        control.beat(source, beat, self.awake if now - self.awake > STALLED and self.awake > 0 else now)
+        control.beat(source, beat, now - self._stood_still(now))
 
     def pulse(self) -> None:
         """Take note that the event loop is alive, and see to what has run out even where a line is down."""
