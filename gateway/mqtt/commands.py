@@ -50,8 +50,8 @@ DIRECTIONS = {"forward": False, "reverse": True}
 class Message:
     """A message as it came, and what the broker says of it.
 
-    `is_retained`: the broker had kept it. `is_repeated`: it may have been delivered before. `is_early`: it came before
-    the broker had confirmed the subscription. `expiry`: seconds for which it is still good. `response_topic` and
+    `is_retained`: the broker had kept it. `is_repeated`: it may have been delivered before. `is_early`: it came
+    before the subscription was confirmed. `expiry`: seconds for which it is still good. `response_topic` and
     `correlation` are for the answer (MQTT 5).
     """
 

@@ -415,6 +415,22 @@ async def test_a_broker_that_lets_nobody_command_is_told_of(is_5: bool, code: in
             await log.until_said("let this user subscribe below mqtt.base")
 
 
+@pytest.mark.hazard("H01")
+@pytest.mark.parametrize(("is_5", "options"), [(True, 0x25), (False, 0x01)])
+async def test_every_subscription_asks_for_no_retained_messages(is_5: bool, options: int) -> None:
+    """MQTT 5: QoS 1, none of our own, retain handling 2; 3.1.1 knows QoS only."""
+    wanted = b"".join(
+        len(topic).to_bytes(2, "big") + topic + bytes([options])
+        for topic in (f"{ROOT}/{each}".encode() for each in ("+/command", "+/set/+", "+/heartbeat", "line/+/command"))
+    )
+    async with PlayedBroker(is_5=is_5) as broker, commanded(broker.port, version="5" if is_5 else "3.1.1"):
+        await broker.subscribed.wait()
+        broker.subscribed.clear()
+        broker.break_off()
+        await broker.subscribed.wait()
+        assert [body[-len(wanted) :] for body in broker.subscriptions] == [wanted, wanted]
+
+
 async def test_nothing_is_subscribed_where_nothing_may_be_commanded() -> None:
     """A site that is read only listens to nobody."""
     async with PlayedBroker() as broker, running(broker.port) as made:
