@@ -8,20 +8,18 @@ accepts a number that no parameter was written more often than (`accept`).
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
-from glob import escape
 from pathlib import Path
 
 from gateway.control.ledger import Entry
 from gateway.control.wear import Key, Wear
 from gateway.store import schema
 from gateway.store.errors import StoreAway, StoreDamaged, translated
+from gateway.store.place import beside, locked, set_aside, set_aside_before, sync
 from gateway.store.schema import Saved
 
 BUSY_WAIT = 2.0  # seconds for another program, such as the sqlite3 shell, to finish what it writes
@@ -45,10 +43,10 @@ class StateFile:
         cannot be written to is of no use.
         """
         with translated(path):
-            lock = _locked(path)
+            lock = locked(path)
             try:
                 if not path.exists():
-                    if _beside(path, "-wal").exists() or _set_aside_before(path):
+                    if beside(path, "-wal").exists() or set_aside_before(path):
                         raise StoreDamaged(f"{path} is missing, though it was there")
                     _create(path, Saved())
                 file = cls(path, audit_rows, _connected(path, is_checked=is_checked), lock)
@@ -120,9 +118,9 @@ def begin_anew(path: Path, now: float, begins_at: int | None) -> str:
     `begins_at` is None where the counts are not known otherwise: the new file then says that they were lost.
     """
     with translated(path):
-        lock = _locked(path)
+        lock = locked(path)
         try:
-            aside = _set_aside(path, now)
+            aside = set_aside(path, now)
             counts = _salvaged(aside)
             highest = max((wear.writes for wear in counts.values()), default=0)
             told = f"{path} was damaged and is kept as {aside}"
@@ -132,27 +130,6 @@ def begin_anew(path: Path, now: float, begins_at: int | None) -> str:
         finally:
             os.close(lock)
     return told
-
-
-def _locked(path: Path) -> int:
-    """Return the descriptor of a lock that only one process has; StoreAway says who has it."""
-    if not path.parent.is_dir():
-        raise StoreAway(f"{path}: there is no folder {path.parent}")
-    if path.exists() and not path.is_file():
-        raise StoreAway(f"{path} is not a file")
-    lock = os.open(_beside(path, ".lock"), os.O_RDWR | os.O_CREAT, 0o644)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        os.ftruncate(lock, 0)
-        os.pwrite(lock, str(os.getpid()).encode(), 0)
-    except BlockingIOError:
-        owner = os.pread(lock, 20, 0).decode(errors="replace")
-        os.close(lock)
-        raise StoreAway(f"{path} is in use by another process ({owner})") from None
-    except BaseException:
-        os.close(lock)
-        raise
-    return lock
 
 
 def _connected(path: Path, *, is_checked: bool) -> sqlite3.Connection:
@@ -200,8 +177,8 @@ def _text(raw: bytes) -> str:
 
 def _create(path: Path, saved: Saved) -> None:
     """Make a file under another name, and give it its own when it is whole: so an empty one is always damaged."""
-    new = _beside(path, ".new")
-    for rest in (new, _beside(new, "-journal")):
+    new = beside(path, ".new")
+    for rest in (new, beside(new, "-journal")):
         rest.unlink(missing_ok=True)
     with contextlib.closing(sqlite3.connect(new, isolation_level=None)) as connection:
         connection.execute("PRAGMA synchronous = FULL")
@@ -213,31 +190,7 @@ def _create(path: Path, saved: Saved) -> None:
         if saved.lost:
             connection.execute(schema.NOTE, ("lost", saved.lost))
     new.rename(path)
-    _sync(path.parent)
-
-
-def _set_aside(path: Path, now: float) -> Path:
-    """Rename the file and then its write-ahead log; return the new name, or that of before where that was all."""
-    before = _set_aside_before(path)
-    if before and not path.exists() and not _beside(path, "-wal").exists():
-        return before[-1]
-    stamp = datetime.fromtimestamp(now, UTC).strftime("%Y%m%dT%H%M%SZ")
-    number = sum(1 for _ in path.parent.glob(_asides(path))) + 1
-    aside = _beside(path, f".damaged-{stamp}-{number}")
-    for suffix in ("", "-wal", "-shm"):
-        with contextlib.suppress(FileNotFoundError):
-            _beside(path, suffix).rename(_beside(aside, suffix))
-    _sync(path.parent)
-    return aside
-
-
-def _set_aside_before(path: Path) -> list[Path]:
-    """Return the files that were set aside, the oldest first."""
-    return sorted(name for name in path.parent.glob(_asides(path)) if not name.name.endswith(("-wal", "-shm")))
-
-
-def _asides(path: Path) -> str:
-    return f"{escape(path.name)}.damaged-*"
+    sync(path.parent)
 
 
 def _salvaged(aside: Path) -> dict[Key, Wear]:
@@ -248,16 +201,3 @@ def _salvaged(aside: Path) -> dict[Key, Wear]:
         rows = connection.execute(schema.COUNTS)
         found.update(count for row in rows if (count := schema.count_of(row)) is not None)
     return found
-
-
-def _beside(path: Path, suffix: str) -> Path:
-    return path.with_name(path.name + suffix)
-
-
-def _sync(folder: Path) -> None:
-    """Make names in a folder last."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

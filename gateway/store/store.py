@@ -27,9 +27,11 @@ from gateway.store.thread import Pace, StoreThread
 log = logging.getLogger("gateway.store")
 
 FILE = "state.sqlite"
+ANSWER_WITHIN = 1.0  # seconds for the disk to take a count, before the write is refused
 CLOSE_WITHIN = 3.0  # seconds for the last rows to be written when the gateway ends
 NOT_YET = "the store is not open yet"
 ENDED = "the gateway ends"
+HANGS = "the disk does not answer"
 PACE = Pace()
 
 
@@ -46,6 +48,27 @@ def needs_store(site: Site) -> bool:
     return any(drive.is_controlled or drive.provision for drive in site.drives)
 
 
+class Reservation:
+    """One write that is to be counted: `then` is told once, by the disk, or that it does not answer in time."""
+
+    def __init__(self, then: Counted, loop: asyncio.AbstractEventLoop, on_late: Callable[[], None]) -> None:
+        self._then = then
+        self._on_late = on_late
+        self._timer = loop.call_later(ANSWER_WITHIN, self._give_up)
+        self._is_told = False
+
+    def tell(self, problem: str) -> None:
+        """Tell what became of it; later it is too late."""
+        if not self._is_told:
+            self._is_told = True
+            self._timer.cancel()
+            self._then(problem)
+
+    def _give_up(self) -> None:
+        self._on_late()
+        self.tell(HANGS)
+
+
 class Store:
     """A ledger in a file. All of it is for the event loop; nothing here waits for the disk."""
 
@@ -56,6 +79,7 @@ class Store:
         self._begins_at = 0
         self._problem = NOT_YET
         self._lost = ""
+        self._hangs = ""
         self._is_loaded = False
         self._ended = asyncio.Event()
         self._thread = StoreThread(path, audit_rows, pace, self, self._post)
@@ -90,7 +114,7 @@ class Store:
     @property
     def problem(self) -> str:
         """Say why nothing can be counted for good; "" while all is well."""
-        return self._problem or self._lost
+        return self._problem or self._lost or self._hangs
 
     @property
     def dropped(self) -> int:
@@ -114,8 +138,15 @@ class Store:
         """Count a write for good; `then` is called when that is done, or at once where it cannot be."""
         if self.problem:
             then(self.problem)
-        else:
-            self._add((drive, address), then)
+            return
+        assert self._loop is not None  # noqa: S101 - there is a problem until it is started
+        reservation = Reservation(then, self._loop, self._hang)
+
+        def told(problem: str) -> None:
+            self._hangs = ""
+            reservation.tell(problem)
+
+        self._add((drive, address), told)
 
     def note(self, drive: str, address: int) -> None:
         """Count a write that is made anyway; while the file is away it is remembered until it is back."""
@@ -151,6 +182,12 @@ class Store:
     def ended(self) -> None:
         """Take that the thread has ended."""
         self._ended.set()
+
+    def _hang(self) -> None:
+        """Take that the disk does not answer: until it does, nothing more is asked of it."""
+        if not self._hangs:
+            log.error("%s: %s: writes to the EEPROM are refused, all else goes on", self.path, HANGS)
+        self._hangs = f"{self.path}: {HANGS}"
 
     def away(self, problem: str) -> None:
         """Take that the file cannot be used."""

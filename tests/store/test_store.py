@@ -159,11 +159,12 @@ async def test_a_second_gateway_is_told_who_has_the_file(path: Path) -> None:
 
 
 @pytest.mark.hazard("H35")
-async def test_a_disk_that_hangs_holds_up_neither_the_loop_nor_the_end(
+async def test_a_disk_that_hangs_holds_up_neither_commands_nor_the_end(
     path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The reservation is not answered, so nothing is sent; the gateway ends all the same, and says what it left."""
+    """The write is refused in time, and the next at once; when the disk is back, writes are permitted again."""
     monkeypatch.setattr(store, "CLOSE_WITHIN", 0.01)
+    monkeypatch.setattr(store, "ANSWER_WITHIN", 0.01)
     told: list[str] = []
     goes_on, really_write = threading.Event(), StateFile.write
 
@@ -174,13 +175,19 @@ async def test_a_disk_that_hangs_holds_up_neither_the_loop_nor_the_end(
     async with open_store(path) as opened:
         monkeypatch.setattr(StateFile, "write", hang)
         opened.reserve("pump", 0x10, told.append)
-        opened.record(event("never mind"))
-        await opened.close()
-        assert not told
-        assert "the disk does not answer" in caplog.text
-        goes_on.set()
         await until(lambda: told)
-    assert told == [""]
+        assert told == ["the disk does not answer"]
+        assert await reserved(opened) == opened.problem == f"{path}: the disk does not answer"
+        goes_on.set()
+        await until(lambda: not opened.problem)
+        monkeypatch.setattr(store, "ANSWER_WITHIN", 10.0)
+        assert not await reserved(opened)
+        goes_on.clear()
+        opened.note("pump", 0x10)
+        await opened.close()
+        assert "the last rows of the audit may be lost" in caplog.text
+        goes_on.set()
+    assert told == ["the disk does not answer"]
 
 
 async def test_a_mistake_of_ours_is_told_and_does_not_end_the_thread(
