@@ -242,7 +242,7 @@ class LineWorker:
                 self._lost(station)
         except Refused as refused:
             self._stats.errors["refused"] += 1
-            self._heard(station, self._clock.now())
+            self._answered_command(station, self._clock.now())
             self._trip(station, refused.is_tripped, self._clock.now())
             control.on_refused(errand, refused)
         else:
@@ -254,12 +254,18 @@ class LineWorker:
         reply, request = answered.reply, errand.request
         if reply is not None:
             station.stats.answers.observe(answered.done - answered.sent)
-            self._heard(station, answered.done)
+            self._answered_command(station, answered.done)
             self._trip(station, reply.is_tripped, answered.done)
             if isinstance(request, ReadWords) and isinstance(reply, Words):
                 pairs = list(enumerate(reply.words, request.address))
                 station.image.apply(pairs, answered.done, self._clock.wall())
         control.on_reply(errand, reply, answered.done)
+
+    def _answered_command(self, station: _Station, now: float) -> None:
+        """Take a sign of life: silences before it are no longer in a row; who is there, only reads can tell."""
+        self._heard(station, now)
+        if station.link.state.is_connected:
+            self._hear(station, Heard.REPLY)
 
     def _lost(self, station: _Station) -> None:
         """Try a drive that is no longer there from time to time."""
