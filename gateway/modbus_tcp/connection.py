@@ -77,6 +77,7 @@ class Connection(asyncio.Protocol):
         self._at = 0
         self._is_waiting = False  # nothing is read: for the next turn, for an answer, or until the client has read
         self._is_next = False  # the next turn is coming
+        self._is_sending = False  # answers of writes are about to be sent
         self._has_ended = False  # the client sends no more
         self._heard_at = self._now()  # when it last sent a whole request, or was answered
         self._blocked_at: float | None = None  # since when it owes us reading
@@ -130,7 +131,14 @@ class Connection(asyncio.Protocol):
             self._close("what it sends is no MODBUS-TCP")
 
     def _on_answer(self) -> None:
-        """Send the answer of a write, and what waited behind it; go on where there was no room for more."""
+        """Have answers sent as soon as who told them is through: a read behind a write sees all that it did."""
+        if not self._is_sending:
+            self._is_sending = True
+            asyncio.get_running_loop().call_soon(self._send_answers)
+
+    def _send_answers(self) -> None:
+        """Send the answers of writes, and what waited behind them; go on where there was no room for more."""
+        self._is_sending = False
         if self._transport.is_closing():
             return
         now = self._now()

@@ -8,7 +8,7 @@ that was stopped, is never taken up again by words that merely stand there; a st
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from decimal import Decimal
 
@@ -34,32 +34,25 @@ class Wish:
 
 @dataclass(slots=True, eq=False)
 class Attempt:
-    """A command that was made by the registers; whoever wants to know its end is told by `answers`."""
+    """A command that was made by the registers, with the sequence number that stood beside it, and its end."""
 
     sequence: int
     result: Result | None = None
-    answers: list[Callable[[Result], None]] = field(default_factory=list)
 
     @property
     def is_done(self) -> bool:
         """Say whether it was done."""
         return self.result is not None and self.result.status is Status.DONE
 
-    def end(self, result: Result) -> None:
-        """Take the result, and tell it."""
-        self.result = result
-        answers, self.answers = self.answers, []
-        for answer in answers:
-            answer(result)
-
 
 @dataclass(slots=True, eq=False)
 class Sheet:
-    """The registers of one drive as one controller has written them; they begin at 0.
+    """The registers of one drive as one controller, `source`, has written them; they begin at 0.
 
     `current` is the command that the words as they are have made, `last` the last one that any words have made.
     """
 
+    source: Source
     words: dict[Place, int] = field(default_factory=lambda: dict.fromkeys(filter(_is_written, Place), 0))
     current: Attempt | None = None
     last: Attempt | None = None
@@ -76,7 +69,7 @@ class Sheet:
         """Return the frequency register in Hz."""
         return self.words[Place.FREQUENCY] * HUNDREDTH
 
-    def write(self, words: Words, state: DriveState, source: Source, now: float) -> Wish | None:
+    def write(self, words: Words, state: DriveState, now: float) -> Wish | None:
         """Take what a request writes; return the command that it makes, if any.
 
         A frequency that comes with other registers goes with a run command, else by itself as soon as the controller
@@ -88,20 +81,21 @@ class Sheet:
         if Place.COMMAND in words:
             self._sequence = self.words[Place.SEQUENCE]
         if Place.FREQUENCY in words:
-            self._is_frequency_due |= is_again or Place.FREQUENCY in changed
+            self._is_frequency_due |= Place.FREQUENCY in changed or (is_again and self.order is None)
         if changed or is_again:
             self.current = None
         if self._is_new_order(words, changed, is_again=is_again):
             return self._ordered(words)
-        is_due = self._is_due_alone(state) if words.keys() == {Place.FREQUENCY} else self._is_due(state, source, now)
+        is_due = self._is_due_alone(state) if words.keys() == {Place.FREQUENCY} else self._is_due(state, now)
         if not is_due:
             return None
         self._is_frequency_due = False
         return Wish(Verb.FREQUENCY, value=self.hertz)
 
-    def _is_due(self, state: DriveState, source: Source, now: float) -> bool:
+    def _is_due(self, state: DriveState, now: float) -> bool:
+        is_under_way = self.current is not None and self.current.result is None
         is_stop = self.order is not None and self.order.verb.is_stopping
-        return self._is_frequency_due and not is_stop and state.is_own(source, now)
+        return self._is_frequency_due and not is_under_way and not is_stop and state.is_own(self.source, now)
 
     def _is_due_alone(self, state: DriveState) -> bool:
         """Say whether a frequency that is written alone is to be sent: unless it was, and the drive holds it."""
@@ -128,23 +122,23 @@ class Sheet:
             value, self._is_frequency_due = self.hertz, False
         return Wish(order.verb, order.is_reverse, value)
 
-    def renewed(self, state: DriveState, source: Source, now: float, words: Words) -> Wish | None:
-        """Return the stop that has to be made again by the same words; BrokenOff where other orders have ended."""
-        order = self.order
-        if Place.COMMAND not in words or order is None or holds(order, state, source, now):
+    def stop_again(self, state: DriveState, now: float) -> Wish | None:
+        """Return the stop that the words hold, where the drive is not stopped by it any more."""
+        if self.order is None or not self.order.verb.is_stopping or holds(self.order, state, self.source, now):
             return None
-        if order.verb.is_stopping:
-            return Wish(order.verb)
-        raise BrokenOff
+        return Wish(self.order.verb)
+
+    def has_ended(self, state: DriveState, now: float) -> bool:
+        """Say whether the words hold what was done once and is no longer so: it takes others to have it again."""
+        order = self.order
+        if order is None or order.verb.is_stopping or not (self.current is None or self.current.is_done):
+            return False
+        return not holds(order, state, self.source, now)
 
     def begun(self) -> Attempt:
         """Note that the words have made a command."""
         self.current = self.last = Attempt(self.words[Place.SEQUENCE])
         return self.last
-
-
-class BrokenOff(Exception):
-    """The words ask for what was done once and has ended since: it takes other words to have it again."""
 
 
 class Sheets:
@@ -155,11 +149,15 @@ class Sheets:
 
     def of(self, drive: str, source: Source) -> Sheet:
         """Return the sheet of a controller for a drive."""
-        sheet = self._sheets.setdefault((drive, source), Sheet())
+        sheet = self._sheets.setdefault((drive, source), Sheet(source))
         self._sheets.move_to_end((drive, source))
         if len(self._sheets) > SHEETS:
             self._sheets.popitem(last=False)
         return sheet
+
+    def find(self, drive: str, source: Source) -> Sheet | None:
+        """Return it where there is one."""
+        return self._sheets.get((drive, source))
 
 
 def holds(order: Order, state: DriveState, source: Source, now: float) -> bool:

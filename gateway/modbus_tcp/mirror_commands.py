@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from gateway.control.command import Command, Source
+from collections.abc import Mapping
+
+from gateway.control.command import Command, Result, Source
 from gateway.control.door import Door
 from gateway.modbus_tcp.codes import ExceptionCode
 from gateway.modbus_tcp.line_stops import Tell
-from gateway.modbus_tcp.mirror import BrokenOff, Sheet, Sheets, Wish, Words
-from gateway.modbus_tcp.mirror_map import NOTHING, ORDERS, Place
+from gateway.modbus_tcp.mirror import Sheet, Sheets, Wish, Words
+from gateway.modbus_tcp.mirror_map import ENDED, NOTHING, ORDERS, REASONS, STATUSES, UNDER_WAY, Place
 
 ASKING = frozenset((Place.COMMAND, Place.FREQUENCY, Place.PARAMETER))  # the others ask for nothing by themselves
+
+SHOWN_BY_STATUS = (ExceptionCode.ACKNOWLEDGE, ExceptionCode.SERVER_DEVICE_BUSY)
 
 
 class Wrong(Exception):
@@ -28,12 +32,25 @@ class MirrorCommands:
         self._sheets = Sheets()
         self._shown: dict[str, Sheet] = {}
 
-    def shown(self, drive: str) -> Sheet | None:
-        """Return the registers to be read: the owner's; while nobody owns the drive, whose command came last."""
-        return self._shown.get(drive)
+    def words(self, drive: str, reader: Source | None, now: float) -> Mapping[Place, int]:
+        """Return what was written, and what became of the last command.
+
+        Of the reader, where it is known and has written; else of the owner; while nobody owns the drive, of who
+        commanded last.
+        """
+        own = None if reader is None else self._sheets.find(drive, reader)
+        sheet = own or self._shown.get(drive)
+        if sheet is None or sheet.last is None:
+            return {} if sheet is None else sheet.words
+        result = sheet.last.result
+        status = UNDER_WAY if result is None else STATUSES[result.status]
+        if result is not None and sheet.has_ended(self._door.controls[drive].state, now):
+            status = ENDED
+        reason = 0 if result is None else REASONS[result.reason]
+        return {**sheet.words, Place.ECHO: sheet.last.sequence, Place.STATUS: status, Place.REASON: reason}
 
     def write(self, drive: str, words: Words, source: Source, tell: Tell) -> None:
-        """Take the heartbeat first, then the command that the words make, if any."""
+        """Take the heartbeat first, then the command that the words make, if any; Wrong where there is no result."""
         if drive not in self._door.controls:
             raise Wrong(ExceptionCode.ILLEGAL_FUNCTION)
         if words.get(Place.COMMAND, NOTHING) not in (NOTHING, *ORDERS):
@@ -41,45 +58,55 @@ class MirrorCommands:
         sheet = self._sheets.of(drive, source)
         if Place.HEARTBEAT in words:
             self._door.beat(drive, source, words[Place.HEARTBEAT])
-        if not words.keys() & ASKING:
+        if words.keys() & ASKING:
+            self._command(drive, sheet, words, tell)
+        else:
             sheet.words.update(words)
             tell(None)
-            return
-        wish = sheet.write(words, self._door.controls[drive].state, source, self._door.clock.now())
-        attempt = sheet.current
-        if wish is not None:
-            self._make(drive, sheet, wish, source, tell)
-        elif attempt is not None and attempt.result is None:
-            attempt.answers.append(tell)
-        elif attempt is not None and not attempt.is_done:
-            tell(attempt.result)
-        else:
-            self._again(drive, sheet, words, source, tell)
 
-    def _again(self, drive: str, sheet: Sheet, words: Words, source: Source, tell: Tell) -> None:
-        """Take words that make no new command: what they made was done, and may have ended since."""
+    def write_and_show(self, drive: str, words: Words, source: Source) -> None:
+        """Take the same from a controller that reads the end from its registers; Wrong for a wrong request only."""
         try:
-            wish = sheet.renewed(self._door.controls[drive].state, source, self._door.clock.now(), words)
-        except BrokenOff:
-            raise Wrong(ExceptionCode.SERVER_DEVICE_BUSY) from None
+            self.write(drive, words, source, lambda _: None)
+        except Wrong as wrong:
+            if wrong.code not in SHOWN_BY_STATUS:
+                raise
+
+    def _command(self, drive: str, sheet: Sheet, words: Words, tell: Tell) -> None:
+        state, now = self._door.controls[drive].state, self._door.clock.now()
+        wish = sheet.write(words, state, now)
+        attempt = sheet.current
+        if wish is None and attempt is not None and not attempt.is_done:
+            if attempt.result is None:
+                raise Wrong(ExceptionCode.ACKNOWLEDGE)
+            tell(attempt.result)
+            return
+        if wish is None and Place.COMMAND in words:
+            if sheet.has_ended(state, now):
+                raise Wrong(ExceptionCode.SERVER_DEVICE_BUSY)
+            wish = sheet.stop_again(state, now)
         if wish is None:
             tell(None)
         else:
-            self._make(drive, sheet, wish, source, tell)
+            self._make(drive, sheet, wish, tell)
 
-    def _make(self, drive: str, sheet: Sheet, wish: Wish, source: Source, tell: Tell) -> None:
+    def _make(self, drive: str, sheet: Sheet, wish: Wish, tell: Tell) -> None:
         control, now = self._door.controls[drive], self._door.clock.now()
         attempt = sheet.begun()
-        attempt.answers.append(tell)
-        if not control.lease.is_held(now) or control.lease.owner == source:
+        if not control.lease.is_held(now) or control.lease.owner == sheet.source:
             self._shown[drive] = sheet
+
+        def ended(result: Result) -> None:
+            attempt.result = result
+            tell(result)
+
         command = Command(
             drive,
             wish.verb,
-            source,
+            sheet.source,
             now,
             now + control.settings.command_timeout,
             is_reverse=wish.is_reverse,
             value=wish.value,
         )
-        self._door.submit(command, attempt.end)
+        self._door.submit(command, ended)

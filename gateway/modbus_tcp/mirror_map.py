@@ -77,6 +77,7 @@ ORDERS: Mapping[int, Order] = {
 LINE_ORDERS: Mapping[int, Order] = {code: order for code, order in ORDERS.items() if order.verb.is_stopping}
 
 UNDER_WAY = 5  # the status of a command that has no result yet
+ENDED = 6  # of one that was done, and holds no longer: a motor that was stopped since, a lease that is over
 STATUSES: Mapping[Status, int] = {Status.DONE: 1, Status.REFUSED: 2, Status.FAILED: 3, Status.UNKNOWN: 4}
 STANDINGS: Mapping[Standing, int] = {
     Standing.ARMED: 1,

@@ -9,10 +9,9 @@ from collections.abc import Mapping
 from gateway.control.command import Result, Source
 from gateway.control.door import Door
 from gateway.image import Image, LinkState, Missing
-from gateway.modbus_tcp.codes import ExceptionCode, exception_of
+from gateway.modbus_tcp.codes import CODE_FOR, ExceptionCode, exception_of
 from gateway.modbus_tcp.gateway_unit import NO_VALUE, REGISTERS_PER_DRIVE, VALUES, VALUES_AT, GatewayUnit
 from gateway.modbus_tcp.line_stops import LineStops, Tell
-from gateway.modbus_tcp.mirror import Sheet
 from gateway.modbus_tcp.mirror_commands import MirrorCommands, Wrong
 from gateway.modbus_tcp.mirror_map import (
     LINE_ORDERS,
@@ -21,15 +20,12 @@ from gateway.modbus_tcp.mirror_map import (
     NOTHING,
     OWNERS,
     PER_DRIVE,
-    REASONS,
     STANDINGS,
-    STATUSES,
-    UNDER_WAY,
     Place,
 )
 from gateway.modbus_tcp.requests import Malformed, WriteRequest, parse
 from gateway.modbus_tcp.session import Reply
-from gateway.modbus_tcp.writing import ANSWER_AT_MOST, answered, patience
+from gateway.modbus_tcp.writing import ANSWER_AT_MOST, patience
 
 SHOWN = {  # places that show a value of the compact map
     Place.DRIVE_STATUS: VALUES_AT + VALUES.index("status"),
@@ -68,15 +64,26 @@ class MirrorUnit:
     def _begin(self, request: WriteRequest, source: Source, reply: Reply) -> float:
         def tell(result: Result | None) -> None:
             code = None if result is None else exception_of(result, self._link(result.command.drive))
-            reply(answered(request, self, self._door.clock.now()) if code is None else code)
+            reply(self._answer(request, source) if code is None else code)
 
         first = request.address - LINES_AT
         if first >= 0 and first + len(request.words) <= len(self._stops.lines):
             self._stop_lines(self._stops.lines[first : first + len(request.words)], request, source, tell)
             return ANSWER_AT_MOST
-        drive, words = self._of_one_drive(request)
-        self._commands.write(drive, words, source, tell)
+        index, words = self._of_one_drive(request)
+        drive = self._drives[index]
+        if _reads_status(request, index):
+            self._commands.write_and_show(drive, words, source)
+            tell(None)
+        else:
+            self._commands.write(drive, words, source, tell)
         return patience(self._door.controls[drive].settings)
+
+    def _answer(self, request: WriteRequest, source: Source) -> bytes | ExceptionCode:
+        if request.read is None:
+            return request.answer()
+        words = self._read(*request.read, self._door.clock.now(), source)
+        return CODE_FOR[words] if isinstance(words, Missing) else request.answer(words)
 
     def _link(self, drive: str) -> LinkState:
         return self._image.by_name[drive].link if drive in self._image.by_name else LinkState.ONLINE
@@ -88,19 +95,22 @@ class MirrorUnit:
             raise Wrong(ExceptionCode.ILLEGAL_DATA_VALUE)
         self._stops.write(lines, request.words, source, tell)
 
-    def _of_one_drive(self, request: WriteRequest) -> tuple[str, dict[Place, int]]:
+    def _of_one_drive(self, request: WriteRequest) -> tuple[int, dict[Place, int]]:
         index, first = divmod(request.address - MIRROR_AT, PER_DRIVE)
         is_inside = 0 <= index < len(self._drives) and first + len(request.words) <= PER_DRIVE
         if not is_inside or not Place(first + len(request.words) - 1).is_written:
             raise Wrong(ExceptionCode.ILLEGAL_DATA_ADDRESS)
-        return self._drives[index], {Place(first + i): word for i, word in enumerate(request.words)}
+        return index, {Place(first + i): word for i, word in enumerate(request.words)}
 
     def read(self, start: int, count: int, now: float) -> bytes | Missing:
         """Return registers of the mirror, of the lines, or of what stands besides under this unit."""
+        return self._read(start, count, now)
+
+    def _read(self, start: int, count: int, now: float, reader: Source | None = None) -> bytes | Missing:
         end = start + count
         if start >= MIRROR_AT and end <= MIRROR_AT + PER_DRIVE * len(self._drives):
             first, last = (start - MIRROR_AT) // PER_DRIVE, (end - 1 - MIRROR_AT) // PER_DRIVE
-            words = [word for index in range(first, last + 1) for word in self._words_of(index, now)]
+            words = [word for index in range(first, last + 1) for word in self._words_of(index, now, reader)]
             skip = start - MIRROR_AT - PER_DRIVE * first
             return struct.pack(f">{count}H", *words[skip : skip + count])
         if start >= LINES_AT and end <= LINES_AT + len(self._stops.lines):
@@ -108,13 +118,12 @@ class MirrorUnit:
             return struct.pack(f">{count}H", *map(self._stops.word, lines))
         return self._gateway_unit.read(start, count, now)
 
-    def _words_of(self, index: int, now: float) -> list[int]:
+    def _words_of(self, index: int, now: float, reader: Source | None) -> list[int]:
         drive = self._drives[index]
         words = dict.fromkeys(Place, 0)
         if drive in self._door.controls:
+            words |= self._commands.words(drive, reader, now)
             words |= self._of_control(drive, now)
-            if (sheet := self._commands.shown(drive)) is not None:
-                words |= _of_sheet(sheet)
         words |= self._of_drive(index, now)
         return [words[place] for place in Place]
 
@@ -136,15 +145,10 @@ class MirrorUnit:
         return {place: int.from_bytes(block[2 * at : 2 * at + 2], "big") for place, at in SHOWN.items()}
 
 
-def _of_sheet(sheet: Sheet) -> Mapping[Place, int]:
-    """Return what was written, and what became of the last command."""
-    words = dict(sheet.words)
-    if sheet.last is not None:
-        result = sheet.last.result
-        words[Place.ECHO] = sheet.last.sequence
-        words[Place.STATUS] = UNDER_WAY if result is None else STATUSES[result.status]
-        words[Place.REASON] = 0 if result is None else REASONS[result.reason]
-    return words
+def _reads_status(request: WriteRequest, index: int) -> bool:
+    """Say whether 17H reads the status of the drive that it writes to: that tells how it ends, no exception does."""
+    status = MIRROR_AT + PER_DRIVE * index + Place.STATUS
+    return request.read is not None and request.read[0] <= status < sum(request.read)
 
 
 def _address(owner: Source) -> tuple[int, int]:

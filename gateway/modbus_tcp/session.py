@@ -52,7 +52,7 @@ class Owed:
 
 
 class Session:
-    """What one client is owed. `wake` is called when more may be sent; it is for `release` to say what."""
+    """What one client is owed. `wake` is called when more may be sent, which `release` then gives; not at once."""
 
     def __init__(
         self,
@@ -68,7 +68,6 @@ class Session:
         self._source = source
         self._wake = wake
         self._call_later = call_later
-        self._is_taking = False
         self._is_closed = False
 
     def __len__(self) -> int:
@@ -80,11 +79,7 @@ class Session:
         self.owed.append(owed)
         writer = self._writers.get(frame[UNIT_AT]) if frame[FUNCTION_AT] in WRITING else None
         if writer is not None:
-            self._is_taking = True
-            try:
-                self._begin(owed, writer)
-            finally:
-                self._is_taking = False
+            self._begin(owed, writer)
         return self.release(now)
 
     def _begin(self, owed: Owed, writer: Writer) -> None:
@@ -100,9 +95,8 @@ class Session:
 
     def _answered(self, owed: Owed, told: bytes | ExceptionCode) -> None:
         owed.answer = owed.transaction + self._responder.told(owed.frame, told)
-        if owed.timer is not None:
+        if owed.timer is not None:  # else it is answered while it is taken
             owed.timer.cancel()
-        if not self._is_taking:
             self._wake()
 
     def release(self, now: float) -> bytes:

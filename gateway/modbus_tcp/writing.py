@@ -9,7 +9,6 @@ from gateway.image import Missing
 from gateway.modbus_tcp.codes import CODE_FOR, ExceptionCode, exception_of
 from gateway.modbus_tcp.read_back import CommandedUnit
 from gateway.modbus_tcp.requests import Malformed, WriteRequest, parse
-from gateway.modbus_tcp.responder import Unit
 from gateway.modbus_tcp.session import Reply
 
 ANSWER_AT_MOST = 0.9  # seconds that a client waits: the shortest usual time-out of clients is 1 s
@@ -61,12 +60,9 @@ class DriveWriter:
     def _answer(self, request: WriteRequest, result: Result) -> bytes | ExceptionCode:
         self._unit.learn(result)  # what 17H reads next
         code = exception_of(result, self._unit.link)
-        return answered(request, self._unit, self._door.clock.now()) if code is None else code
-
-
-def answered(request: WriteRequest, unit: Unit, now: float) -> bytes | ExceptionCode:
-    """Answer a write that was done; 17H reads afterwards."""
-    if request.read is None:
-        return request.answer()
-    words = unit.read(*request.read, now)
-    return CODE_FOR[words] if isinstance(words, Missing) else request.answer(words)
+        if code is not None:
+            return code
+        if request.read is None:
+            return request.answer()
+        words = self._unit.read(*request.read, self._door.clock.now())
+        return CODE_FOR[words] if isinstance(words, Missing) else request.answer(words)

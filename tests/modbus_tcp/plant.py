@@ -43,7 +43,7 @@ def mirror(place: Place, index: int = 0) -> int:
 
 @dataclass(slots=True)
 class ListeningDoor(Door):
-    """A door that keeps what it is asked for; a test says how it ends."""
+    """A door that keeps what it is asked for; see `Listening.end`."""
 
     asked: list[tuple[Command, Answer]] = field(default_factory=list)
     line_stops: list[tuple[str, Verb, Source, Answer]] = field(default_factory=list)
@@ -60,12 +60,6 @@ class ListeningDoor(Door):
     def beat(self, drive: str, source: Source, beat: object) -> None:
         """Keep a heartbeat."""
         self.beats.append((drive, source, beat))
-
-    def end(self, status: Status = Status.DONE, reason: Reason = Reason.NONE) -> Command:
-        """End the oldest command that was asked for."""
-        command, answer = self.asked.pop(0)
-        answer(Result(command, status, reason))
-        return command
 
     def state(self, drive: str) -> DriveState:
         """Return what control knows of a drive."""
@@ -110,6 +104,13 @@ class Listening:
             image.set_link(LinkState.ONLINE)
         self.stats = Stats(0.0, {"a": LineStats(is_up=True)})
         self.server = ModbusTcpServer(ModbusTcpSection(), self.image, self.stats, self.clock, door=self.door)
+
+    async def end(self, status: Status = Status.DONE, reason: Reason = Reason.NONE) -> Command:
+        """End the oldest command that was asked for, and let its answer be sent."""
+        command, answer = self.door.asked.pop(0)
+        answer(Result(command, status, reason))
+        await asyncio.sleep(0)
+        return command
 
     def connect(self, peer: str = "10.0.0.7") -> Master:
         """Open a connection."""

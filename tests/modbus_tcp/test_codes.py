@@ -10,7 +10,7 @@ from gateway.control.command import Channel, Command, Reason, Result, Source, St
 from gateway.control.state import Standing
 from gateway.image import Missing
 from gateway.modbus_tcp.codes import CODE_FOR, REFUSED, ExceptionCode, exception_of
-from gateway.modbus_tcp.mirror_map import OWNERS, REASONS, STANDINGS, STATUSES, UNDER_WAY
+from gateway.modbus_tcp.mirror_map import ENDED, OWNERS, REASONS, STANDINGS, STATUSES, UNDER_WAY
 
 SENT_NOTHING = {1, 2, 3, 6}
 COMMAND = Command("d1", Verb.RUN, Source(Channel.MODBUS_TCP, "10.0.0.7"), 0.0, 1.0)
@@ -37,7 +37,7 @@ def test_the_numbers_of_the_mirror_are_told_apart() -> None:
     for table in (REASONS, STATUSES, STANDINGS, OWNERS):
         assert len(set(table.values())) == len(table)
     assert REASONS[Reason.NONE] == 0
-    assert UNDER_WAY not in STATUSES.values()
+    assert len({UNDER_WAY, ENDED, *STATUSES.values()}) == 2 + len(STATUSES)
     assert not {0} & {*STATUSES.values(), *STANDINGS.values(), *OWNERS.values()}
 
 

@@ -11,7 +11,7 @@ from gateway.control.state import Standing
 from gateway.modbus_tcp.connection import source_of
 from gateway.modbus_tcp.mirror import SHEETS, Sheets
 from gateway.modbus_tcp.mirror_map import LINE_ORDERS, ORDERS, Place
-from tests.modbus_tcp.plant import CODES, UNIT, Listening, Master, mirror, several
+from tests.modbus_tcp.plant import CODES, UNIT, Listening, Master, exchange, mirror, several
 
 PLC = source_of(("10.0.0.7", "1"))
 OTHER = source_of(("10.0.0.8", "1"))
@@ -29,12 +29,12 @@ def owned(**facts: int) -> Listening:
     return made
 
 
-def asked(made: Listening) -> tuple[Verb, float | None] | None:
+async def asked(made: Listening) -> tuple[Verb, float | None] | None:
     """Return verb and value of the one command that was asked for since, and let it be done; None without one."""
     assert len(made.door.asked) <= 1
     if not made.door.asked:
         return None
-    command = made.door.end()
+    command = await made.end()
     return command.verb, None if command.value is None else float(command.value)
 
 
@@ -77,11 +77,11 @@ class TestCyclicImage:
         made = owned()
         master = made.connect()
         first = write(master, CODES["run"], 1, 3000)
-        assert asked(made) == (Verb.RUN, 30)
+        assert await asked(made) == (Verb.RUN, 30)
         made.door.state("d1").facts["command"] = RUN_WORD
         for beat in range(2, 100):
             again = write(master, CODES["run"], beat, 3000)
-            assert asked(made) is None
+            assert await asked(made) is None
             assert code(master, again) == 0
         assert code(master, first) == 0
         assert [beat for _, _, beat in made.door.beats] == list(range(1, 100))
@@ -91,23 +91,23 @@ class TestCyclicImage:
         made = owned()
         master = made.connect()
         write(master, CODES["run"], 1, 3000)
-        asked(made)
+        await asked(made)
         made.door.state("d1").facts["command"] = RUN_WORD
         write(master, CODES["run"], 2, 3500)
-        assert asked(made) == (Verb.FREQUENCY, 35)
+        assert await asked(made) == (Verb.FREQUENCY, 35)
         write(master, CODES["run"], 3, 3500)
-        assert asked(made) is None
+        assert await asked(made) is None
 
     async def test_another_sequence_is_another_command(self) -> None:
         """The same code, with the frequency."""
         made = owned(command=RUN_WORD)
         master = made.connect()
         write(master, CODES["run"], 1, 3000, 0, 1)
-        assert asked(made) == (Verb.RUN, 30)
+        assert await asked(made) == (Verb.RUN, 30)
         write(master, CODES["run"], 2, 3000, 0, 1)
-        assert asked(made) is None
+        assert await asked(made) is None
         write(master, CODES["run"], 3, 3000, 0, 2)
-        assert asked(made) == (Verb.RUN, 30)
+        assert await asked(made) == (Verb.RUN, 30)
 
     async def test_command_nothing_and_zeros_ask_for_nothing(self) -> None:
         """The image of a PLC that has just started."""
@@ -115,7 +115,7 @@ class TestCyclicImage:
         master = made.connect()
         for beat in range(5):
             assert code(master, write(master, 0, beat, 0, 0, 0)) == 0
-        assert asked(made) is None
+        assert await asked(made) is None
 
     async def test_a_frequency_of_one_that_is_not_the_owner_waits_for_a_command(self) -> None:
         """Nothing is asked and nothing refused, until it has the lease: then it is sent by itself."""
@@ -124,65 +124,91 @@ class TestCyclicImage:
         state.lease.end()
         master = made.connect()
         assert code(master, write(master, 0, 1, 3000)) == 0
-        assert asked(made) is None
+        assert await asked(made) is None
         write(master, CODES["take"], 2, 3000)
-        assert asked(made) == (Verb.TAKE, None)
+        assert await asked(made) == (Verb.TAKE, None)
         state.lease.take(PLC, made.clock.now())
         write(master, CODES["take"], 3, 3000)
-        assert asked(made) == (Verb.FREQUENCY, 30)
+        assert await asked(made) == (Verb.FREQUENCY, 30)
         write(master, CODES["arm"], 4, 3000)
-        assert asked(made) == (Verb.ARM, None)
+        assert await asked(made) == (Verb.ARM, None)
 
     async def test_a_frequency_beside_another_command_is_sent_in_the_next_cycle(self) -> None:
         """It is not lost; beside a stop it waits for a run command."""
         made = owned()
         master = made.connect()
         write(master, CODES["acceleration"], 1, 3000, 2)
-        assert asked(made) == (Verb.ACCELERATION, 2)
+        assert await asked(made) == (Verb.ACCELERATION, 2)
         write(master, CODES["acceleration"], 2, 3000, 2)
-        assert asked(made) == (Verb.FREQUENCY, 30)
+        assert await asked(made) == (Verb.FREQUENCY, 30)
         made.door.state("d1").facts["command"] = STOP_WORD
         write(master, CODES["stop"], 3, 1000, 2)
-        assert asked(made) == (Verb.STOP, None)
+        assert await asked(made) == (Verb.STOP, None)
         write(master, CODES["stop"], 4, 1000, 2)
-        assert asked(made) is None
+        assert await asked(made) is None
         write(master, CODES["run"], 5, 1000, 2)
-        assert asked(made) == (Verb.RUN, 10)
+        assert await asked(made) == (Verb.RUN, 10)
+
+    async def test_a_frequency_does_not_go_out_while_a_command_is_under_way(self) -> None:
+        """A drive that is being reset takes none; it is sent when that has ended."""
+        made = owned()
+        master = made.connect()
+        write(master, CODES["reset"], 1, 3000)
+        write(master, CODES["reset"], 2, 3000)
+        assert await asked(made) == (Verb.RESET, None)
+        write(master, CODES["reset"], 3, 3000)
+        assert await asked(made) == (Verb.FREQUENCY, 30)
+
+    async def test_another_sequence_without_a_command_sends_the_frequency_anew(self) -> None:
+        """With a command it goes with that, or not at all."""
+        made = owned()
+        master = made.connect()
+        for sequence in (1, 2):
+            write(master, 0, 1, 3000, 0, sequence)
+            assert await asked(made) == (Verb.FREQUENCY, 30)
+        write(master, CODES["arm"], 1, 3000, 0, 3)
+        assert await asked(made) == (Verb.ARM, None)
+        made.door.state("d1").standing = Standing.ARMED
+        write(master, CODES["arm"], 1, 3000, 0, 3)
+        assert await asked(made) is None
 
     async def test_another_number_is_another_preset(self) -> None:
         """For the codes that have one; for the others the parameter says nothing."""
         made = owned(command=RUN_WORD)
         master = made.connect()
         write(master, CODES["preset"], 1, 0, 3)
-        assert asked(made) == (Verb.PRESET, 3)
+        assert await asked(made) == (Verb.PRESET, 3)
         write(master, CODES["preset"], 2, 0, 4)
-        assert asked(made) == (Verb.PRESET, 4)
+        assert await asked(made) == (Verb.PRESET, 4)
         write(master, CODES["run"], 3, 0, 4)
-        assert asked(made) == (Verb.RUN, 0)
+        assert await asked(made) == (Verb.RUN, 0)
         write(master, CODES["run"], 4, 0, 5)
-        assert asked(made) is None
+        assert await asked(made) is None
 
     async def test_a_refusal_stands_as_long_as_the_words(self) -> None:
         """The same words get the same exception, and are not tried again; command 0 ends that."""
         made = owned()
         master = made.connect()
         first = write(master, CODES["run"], 1, 3000)
-        made.door.end(Status.REFUSED, Reason.NOT_ARMED)
+        await made.end(Status.REFUSED, Reason.NOT_ARMED)
         again = write(master, CODES["run"], 2, 3000)
         assert (code(master, first), code(master, again)) == (6, 6)
         assert made.door.asked == []
         assert code(master, write(master, 0, 3, 3000)) == 0
         assert made.door.asked == []
 
-    async def test_words_that_come_again_while_they_are_carried_out_wait_for_the_same_end(self) -> None:
-        """Two connections of one PLC, or one that has been told 05: one command, and both are answered."""
+    async def test_words_that_come_again_while_they_are_carried_out_are_under_way(self) -> None:
+        """05 at once, or by 17H what is read, with that status: one command, and its end for who asked first."""
         made = owned()
         first, second = made.connect(), made.connect()
         one = write(first, CODES["run"], 1, 3000)
-        two = write(second, CODES["run"], 2, 3000)
+        assert code(second, write(second, CODES["run"], 2, 3000)) == 5
+        both = second.send(UNIT, exchange(mirror(Place.STATUS), 1, mirror(Place.COMMAND), CODES["run"], 3, 3000))
+        assert second.told(both) == b"\x17\x02\x00\x05"
         assert len(made.door.asked) == 1
-        made.door.end(Status.UNKNOWN, Reason.NO_ANSWER)
-        assert (code(first, one), code(second, two)) == (0x0B, 0x0B)
+        await made.end(Status.UNKNOWN, Reason.NO_ANSWER)
+        assert code(first, one) == 0x0B
+        assert code(second, write(second, CODES["run"], 4, 3000)) == 0x0B
 
 
 class TestWhatHasEnded:
@@ -204,7 +230,7 @@ class TestWhatHasEnded:
             made = owned()
             master = made.connect()
             write(master, CODES[word], 1, 0)
-            asked(made)
+            await asked(made)
             made.door.state("d1").facts["command"] = RUN_WORD
             assert code(master, write(master, CODES[word], 2, 0)) == 0
             end(made.door.state("d1"))
@@ -218,13 +244,13 @@ class TestWhatHasEnded:
         made = owned()
         master = made.connect()
         write(master, CODES[word], 1, 0)
-        asked(made)
+        await asked(made)
         assert code(master, write(master, CODES[word], 2, 0)) == 0
         made.door.state("d1").lease.end()
         assert code(master, write(master, CODES[word], 3, 0)) == 6
         assert made.door.asked == []
         write(master, CODES[word], 4, 0, 0, 1)
-        assert asked(made) == (Verb(word), None)
+        assert await asked(made) == (Verb(word), None)
 
     @pytest.mark.hazard("H29")
     @pytest.mark.parametrize("word", ["stop", "coast", "emergency_stop"])
@@ -233,19 +259,19 @@ class TestWhatHasEnded:
         made = owned(command=STOP_WORD)
         master, state = made.connect(), made.door.state("d1")
         write(master, CODES[word], 1, 0)
-        assert asked(made) == (Verb(word), None)
+        assert await asked(made) == (Verb(word), None)
         assert code(master, write(master, CODES[word], 2, 0)) == 0
         assert made.door.asked == []
         for key, value in (("is_online", False), ("standing", Standing.LOST)):
             before = getattr(state, key)
             setattr(state, key, value)
             write(master, CODES[word], 3, 0)
-            assert asked(made) == (Verb(word), None)
+            assert await asked(made) == (Verb(word), None)
             setattr(state, key, before)
         for held in (RUN_WORD, 0):  # it runs by command; the panel may start it
             state.facts["command"] = held
             write(master, CODES[word], 4, 0)
-            assert asked(made) == (Verb(word), None)
+            assert await asked(made) == (Verb(word), None)
         state.is_tripped = True
         assert code(master, write(master, CODES[word], 5, 0)) == 0
         assert made.door.asked == []
@@ -260,20 +286,20 @@ class TestOneRegister:
         master = made.connect()
         for _ in range(2):
             write(master, CODES["take"])
-            assert asked(made) == (Verb.TAKE, None)
+            assert await asked(made) == (Verb.TAKE, None)
 
     async def test_a_frequency_is_made_each_time_it_is_not_held(self) -> None:
         """What the drive holds is not sent again; after a reset, which forgets it, it is."""
         made = owned()
         master, state = made.connect(), made.door.state("d1")
         write(master, 3000, at=Place.FREQUENCY)
-        assert asked(made) == (Verb.FREQUENCY, 30)
+        assert await asked(made) == (Verb.FREQUENCY, 30)
         state.facts["frequency_command"] = 3000
         assert code(master, write(master, 3000, at=Place.FREQUENCY)) == 0
         assert made.door.asked == []
         del state.facts["frequency_command"]
         write(master, 3000, at=Place.FREQUENCY)
-        assert asked(made) == (Verb.FREQUENCY, 30)
+        assert await asked(made) == (Verb.FREQUENCY, 30)
 
     async def test_a_frequency_without_a_right_to_it_is_refused_each_time(self) -> None:
         """Also where the drive happens to hold it."""
@@ -281,7 +307,7 @@ class TestOneRegister:
         master = made.connect("10.0.0.8")
         for _ in range(2):
             last = write(master, 3000, at=Place.FREQUENCY)
-            assert made.door.end(Status.REFUSED, Reason.NOT_OWNER).value == 30
+            assert (await made.end(Status.REFUSED, Reason.NOT_OWNER)).value == 30
             assert code(master, last) == 6
 
     async def test_a_run_command_alone_has_no_frequency(self) -> None:
@@ -289,12 +315,12 @@ class TestOneRegister:
         made = owned()
         master = made.connect()
         write(master, CODES["run"])
-        assert asked(made) == (Verb.RUN, None)
+        assert await asked(made) == (Verb.RUN, None)
         made.door.state("d1").lease.end()
         write(master, 0, 0, 2000)
-        assert asked(made) is None
+        assert await asked(made) is None
         write(master, CODES["run"])
-        assert asked(made) == (Verb.RUN, 20)
+        assert await asked(made) == (Verb.RUN, 20)
 
     async def test_heartbeat_parameter_and_sequence_ask_for_nothing(self) -> None:
         """They are answered well, whoever writes them."""
@@ -315,7 +341,7 @@ async def test_two_hosts_have_registers_of_their_own() -> None:
         commands: list[Command] = [command for command, _ in made.door.asked]
         assert [command.source for command in commands] == ([source] if source else [])
         if commands:
-            made.door.end()
+            await made.end()
         made.door.state("d1").facts["command"] = RUN_WORD
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import struct
 
 import pytest
@@ -99,16 +100,19 @@ async def test_what_cannot_be_written_is_refused_whole(address: int, asked: list
 async def test_a_command_is_shown_with_its_sequence_from_under_way_to_its_end() -> None:
     """What a PLC waits for: its own number in `echo`, and a status that is not 5."""
     made = Listening()
+    state = made.door.state("d1")
+    state.standing = Standing.ARMED
+    state.lease.take(PLC, made.clock.now())
     master = made.connect()
     master.send(UNIT, several(mirror(Place.COMMAND), CODES["run"], 7, 3000, 0, 41))
     found = shown(made.connect())
     assert [found[place] for place in Place][:5] == [CODES["run"], 7, 3000, 0, 41]
     assert (found[Place.ECHO], found[Place.STATUS], found[Place.REASON]) == (41, 5, 0)
-    made.door.end(Status.REFUSED, Reason.NOT_ARMED)
+    await made.end(Status.REFUSED, Reason.NOT_ARMED)
     found = shown(master)
     assert (found[Place.ECHO], found[Place.STATUS], found[Place.REASON]) == (41, 2, REASONS[Reason.NOT_ARMED])
     master.send(UNIT, several(mirror(Place.COMMAND), CODES["arm"], 8, 3000, 0, 42))
-    made.door.end()
+    await made.end()
     found = shown(master)
     assert (found[Place.ECHO], found[Place.STATUS], found[Place.REASON]) == (42, 1, 0)
 
@@ -120,13 +124,13 @@ async def test_who_does_not_own_a_drive_does_not_change_what_the_owner_reads() -
     made.door.state("d1").lease.take(PLC, made.clock.now())
     master, other = made.connect(), made.connect("10.0.0.8")
     master.send(UNIT, several(mirror(Place.COMMAND), CODES["arm"], 1, 0, 0, 5))
-    made.door.end()
+    await made.end()
     other.send(UNIT, several(mirror(Place.COMMAND), CODES["take"], 1, 0, 0, 99))
-    made.door.end(Status.REFUSED, Reason.NOT_OWNER)
+    await made.end(Status.REFUSED, Reason.NOT_OWNER)
     assert shown(other)[Place.ECHO] == 5
     made.door.state("d1").lease.end()
     other.send(UNIT, several(mirror(Place.COMMAND), CODES["take"], 1, 0, 0, 100))
-    made.door.end()
+    await made.end()
     assert shown(master)[Place.ECHO] == 100
 
 
@@ -158,22 +162,67 @@ async def test_a_long_lease_saturates() -> None:
     assert shown(made.connect())[Place.LEASE_LEFT] == 0xFFFF
 
 
-async def test_17h_writes_the_cycle_and_reads_all_in_one_request() -> None:
-    """The drive's status and frequency beside the outcome; of a command, when it has ended."""
+CYCLE = 11  # registers from `echo` to the end of a drive
+
+
+def cycle(master: Master, *outputs: int) -> dict[Place, int]:
+    """Write the first registers of d1 and read the others, by one 17H that is answered at once."""
+    answer = told(master, exchange(mirror(Place.ECHO), CYCLE, mirror(Place.COMMAND), *outputs))
+    return dict(zip(list(Place)[5:], struct.unpack(f">{CYCLE}H", answer[2:]), strict=True))
+
+
+async def test_17h_that_reads_the_status_is_answered_at_once_whatever_the_end() -> None:
+    """Under way, then refused, done, and ended: never an exception that would hide the registers."""
     made = Listening()
     made.image.by_name["d1"].apply([(0xFD01, 0x0400), (0xFD00, 2990)], made.clock.now(), 0.0)
-    made.door.state("d1").lease.take(PLC, made.clock.now())
+    state = made.door.state("d1")
+    state.lease.take(PLC, made.clock.now())
+    state.is_online, state.standing = True, Standing.ARMED
     master = made.connect()
-    asked = master.send(UNIT, exchange(mirror(Place.ECHO), 11, mirror(Place.COMMAND), CODES["arm"], 1, 0, 0, 3))
-    assert master.told(asked) is None
-    made.door.end()
-    answer = master.told(asked)
-    assert answer is not None
-    found = dict(zip(list(Place)[5:], struct.unpack(">11H", answer[2:]), strict=True))
-    assert (found[Place.ECHO], found[Place.STATUS], found[Place.OUTPUT_FREQUENCY]) == (3, 1, 2990)
+    found = cycle(master, CODES["run"], 1, 3000, 0, 3)
+    assert (found[Place.ECHO], found[Place.STATUS], found[Place.OUTPUT_FREQUENCY]) == (3, 5, 2990)
     assert found[Place.DRIVE_STATUS] == 0x0400
-    beating = told(master, exchange(mirror(Place.ECHO), 1, mirror(Place.HEARTBEAT), 2))
-    assert beating == b"\x17\x02\x00\x03"
+    assert cycle(master, CODES["run"], 2, 3000, 0, 3)[Place.STATUS] == 5
+    await made.end(Status.REFUSED, Reason.RANGE)
+    found = cycle(master, CODES["run"], 3, 3000, 0, 3)
+    assert (found[Place.STATUS], found[Place.REASON]) == (2, REASONS[Reason.RANGE])
+    cycle(master, CODES["run"], 4, 3000, 0, 4)
+    await made.end()
+    state.facts["command"] = 0xC400
+    found = cycle(master, CODES["run"], 5, 3000, 0, 4)
+    assert (found[Place.ECHO], found[Place.STATUS]) == (4, 1)
+    state.facts["command"] = STOP_WORD
+    found = cycle(master, CODES["run"], 6, 3000, 0, 4)
+    assert (found[Place.ECHO], found[Place.STATUS]) == (4, 6)
+    assert made.door.asked == []
+
+
+async def test_17h_reads_the_end_of_its_own_command() -> None:
+    """Not that of the owner."""
+    made = Listening()
+    made.door.state("d1").lease.take(PLC, made.clock.now())
+    master, other = made.connect(), made.connect("10.0.0.8")
+    cycle(master, CODES["arm"], 1, 0, 0, 5)
+    await made.end()
+    cycle(other, CODES["take"], 1, 0, 0, 99)
+    await made.end(Status.REFUSED, Reason.NOT_OWNER)
+    found = cycle(other, CODES["take"], 2, 0, 0, 99)
+    assert (found[Place.ECHO], found[Place.REASON]) == (99, REASONS[Reason.NOT_OWNER])
+    assert shown(other)[Place.ECHO] == 5
+
+
+async def test_17h_that_reads_something_else_waits_for_the_end() -> None:
+    """And is answered with its exception, as 10H is."""
+    made = Listening()
+    master = made.connect()
+    asked = master.send(UNIT, exchange(mirror(Place.STANDING), 1, mirror(Place.COMMAND), CODES["arm"], 1))
+    assert master.told(asked) is None
+    await made.end()
+    assert master.told(asked) == b"\x17\x02\x00\x02"
+    asked = master.send(UNIT, exchange(mirror(Place.STANDING), 1, mirror(Place.COMMAND), CODES["take"], 1))
+    await made.end(Status.REFUSED, Reason.NOT_OWNER)
+    assert master.told(asked) == b"\x97\x06"
+    assert told(master, exchange(mirror(Place.STATUS), 1, mirror(Place.COMMAND), 99)) == b"\x97\x03"
 
 
 class TestLineStops:
@@ -198,6 +247,7 @@ class TestLineStops:
                 assert master.told(asked) is None
                 reason = Reason.NONE if end is Status.DONE else Reason.QUIESCED
                 answer(Result(stop_of("d3"), end, reason))
+            await asyncio.sleep(0)
             assert code_of(master.told(asked) or b"\xff\xff") == code
         assert words(master, LINES_AT, 2) == [0, CODES[word]]
 
@@ -210,6 +260,7 @@ class TestLineStops:
         assert [(line, verb) for line, verb, _, _ in stops] == [("a", Verb.EMERGENCY_STOP), ("c", Verb.STOP)]
         for (_, _, _, answer), drive in zip(stops, ("d1", "d3"), strict=True):
             answer(Result(stop_of(drive), Status.DONE))
+        await asyncio.sleep(0)
         assert code_of(master.told(asked) or b"\xff\xff") == 0
         assert words(master, LINES_AT, 3) == [CODES["emergency_stop"], 0, CODES["stop"]]
 
@@ -244,4 +295,5 @@ class TestLineStops:
         master = made.connect()
         asked = master.send(UNIT, struct.pack(">BHH", 6, LINES_AT, CODES["stop"]))
         made.door.line_stops[0][3](Result(stop_of("d1"), Status.REFUSED, Reason.OFFLINE))
+        await asyncio.sleep(0)
         assert master.told(asked) == b"\x86\x0a"

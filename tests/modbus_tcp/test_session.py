@@ -31,6 +31,12 @@ def ids(wire: Wire) -> list[int]:
     return [transaction for transaction, _, _ in answers(wire.sent)]
 
 
+async def finish(desk: Desk, place: int = 0, code: ExceptionCode | None = None) -> None:
+    """Let a write end, and its answer be sent."""
+    desk.finish(place, code)
+    await asyncio.sleep(0)
+
+
 def run(script: Coroutine[None, None, None]) -> None:
     """Run a script in virtual time."""
     virtual.run(script)
@@ -45,7 +51,7 @@ def test_a_write_is_answered_when_the_drive_has_answered() -> None:
         wire.connection.data_received(write(0x1234, 1, FREQUENCY, 3000))
         assert desk.begun == [ECHO]
         assert wire.sent == b""
-        desk.finish()
+        await finish(desk)
         assert answers(wire.sent) == [(0x1234, 1, ECHO)]
         assert rig.stats.tcp.requests == {6: 1}
 
@@ -59,7 +65,7 @@ def test_a_refusal_is_answered_with_its_code_and_counted() -> None:
         rig, desk = desk_rig()
         wire = rig.connect()
         wire.connection.data_received(write(1, 1, FREQUENCY, 3000))
-        desk.finish(code=ExceptionCode.SERVER_DEVICE_BUSY)
+        await finish(desk, code=ExceptionCode.SERVER_DEVICE_BUSY)
         assert answers(wire.sent) == [(1, 1, b"\x86\x06")]
         assert rig.stats.tcp.exceptions == {6: 1}
 
@@ -81,9 +87,9 @@ def test_answers_keep_the_order_of_the_requests_whatever_ends_first() -> None:
             + read(5, 2, 0xFD00, 1)
         )
         assert len(desk.begun) == 3
-        desk.finish(1)
+        await finish(desk, 1)
         assert ids(wire) == []
-        desk.finish(0)
+        await finish(desk, 0)
         assert ids(wire) == [1, 2, 3, 4, 5]
         assert [pdu[0] for _, _, pdu in answers(wire.sent)] == [6, 3, 6, 0x86, 0x83]
 
@@ -102,7 +108,7 @@ def test_a_read_behind_a_write_sees_what_the_write_did() -> None:
         wire.connection.data_received(read(2, 1, 0xFD00, 1))
         assert wire.sent == b""
         answer(rig.image.by_unit[1], output_frequency=1234)
-        desk.finish()
+        await finish(desk)
         assert answers(wire.sent)[1] == (2, 1, b"\x03\x02" + struct.pack(">H", 1234))
 
     run(script())
@@ -118,8 +124,8 @@ def test_a_stop_begins_though_the_command_in_front_of_it_is_not_answered() -> No
         wire.connection.data_received(read(1, 1, 0xFD00, 1) + write(2, 1, FREQUENCY, 1) + write(3, 1, 0xFA00, 0x8000))
         assert ids(wire) == [1]
         assert [pdu[1:3] for pdu in desk.begun] == [b"\xfa\x01", b"\xfa\x00"]
-        desk.finish(code=ExceptionCode.SERVER_DEVICE_BUSY)
-        desk.finish()
+        await finish(desk, code=ExceptionCode.SERVER_DEVICE_BUSY)
+        await finish(desk)
         assert ids(wire) == [1, 2, 3]
 
     run(script())
@@ -141,7 +147,7 @@ def test_a_command_that_ends_another_while_it_begins_keeps_the_order() -> None:
         wire = rig.connect()
         wire.connection.data_received(read(1, 1, 0xFD00, 1) + write(2, 1, FREQUENCY, 1) + write(3, 1, 0xFA00, 0x8000))
         assert ids(wire) == [1, 2]
-        desk.finish()
+        await finish(desk)
         assert ids(wire) == [1, 2, 3]
 
     run(script())
@@ -159,11 +165,11 @@ def test_at_most_sixteen_requests_are_in_flight() -> None:
             assert len(desk.begun) == IN_FLIGHT + done
             assert len(desk.pending) == IN_FLIGHT
             assert wire.is_reading_paused
-            desk.finish()
+            await finish(desk)
             await asyncio.sleep(0)
         assert not wire.is_reading_paused
         while desk.pending:
-            desk.finish()
+            await finish(desk)
         assert ids(wire) == list(range(40))
 
     run(script())
@@ -181,7 +187,7 @@ def test_reads_behind_a_write_count_as_in_flight() -> None:
         )
         assert len(wire.connection._owed) == IN_FLIGHT
         assert wire.is_reading_paused
-        desk.finish()
+        await finish(desk)
         for _ in range(10):
             await asyncio.sleep(0)
         assert ids(wire) == list(range(100))
@@ -202,22 +208,22 @@ def test_every_split_of_a_stream_with_writes() -> None:
         + write(6, 2, FREQUENCY, 1)
     )
 
-    def fed(*pieces: bytes) -> tuple[list[bytes], bytes]:
+    async def fed(*pieces: bytes) -> tuple[list[bytes], bytes]:
         rig, desk = desk_rig()
         wire = rig.connect()
         for piece in pieces:
             wire.connection.data_received(piece)
         while desk.pending:
-            desk.finish()
+            await finish(desk)
         return desk.begun, wire.sent
 
     async def script() -> None:
-        whole = fed(stream)
+        whole = await fed(stream)
         assert [transaction for transaction, _, _ in answers(whole[1])] == [1, 2, 3, 4, 5, 6]
         assert len(whole[0]) == 3
         for at in range(1, len(stream)):
-            assert fed(stream[:at], stream[at:]) == whole
-        assert fed(*(bytes([byte]) for byte in stream)) == whole
+            assert await fed(stream[:at], stream[at:]) == whole
+        assert await fed(*(bytes([byte]) for byte in stream)) == whole
 
     run(script())
 
@@ -233,7 +239,7 @@ def test_what_takes_long_is_acknowledged_and_its_result_goes_nowhere() -> None:
         assert wire.sent == b""
         await asyncio.sleep(0.02)
         assert [(i, pdu[:2]) for i, _, pdu in answers(wire.sent)] == [(1, b"\x86\x05"), (2, b"\x03\x02")]
-        desk.finish()
+        await finish(desk)
         assert ids(wire) == [1, 2]
 
     run(script())
@@ -249,7 +255,7 @@ def test_no_timer_is_left_by_what_was_answered_in_time() -> None:
         before = len([handle for handle in loop._scheduled if not handle.cancelled()])  # type: ignore[attr-defined]
         first.connection.data_received(write(1, 1, FREQUENCY, 1))
         second.connection.data_received(write(1, 1, FREQUENCY, 1))
-        desk.finish()
+        await finish(desk)
         second.abort()
         after = [handle for handle in loop._scheduled if not handle.cancelled()]  # type: ignore[attr-defined]
         assert len(after) == before
@@ -271,7 +277,7 @@ def test_the_result_of_a_client_that_has_gone_goes_nowhere(end: str) -> None:
             wire.connection.data_received(b"GET / HTTP/1.1\r\n")
             assert wire.is_closed
             wire.connection.connection_lost(None)
-        desk.finish()
+        await finish(desk)
         await asyncio.sleep(5.0)
         assert wire.sent == b""
         assert not rig.places.taken
@@ -288,7 +294,7 @@ def test_nothing_is_written_to_a_transport_that_is_closing() -> None:
         wire = rig.connect()
         wire.connection.data_received(write(1, 1, FREQUENCY, 1))
         wire.is_closed = True
-        desk.finish()
+        await finish(desk)
         assert wire.sent == b""
 
     run(script())
@@ -302,9 +308,9 @@ def test_a_client_that_ends_its_stream_is_still_answered() -> None:
         wire = rig.connect()
         wire.connection.data_received(write(1, 1, FREQUENCY, 1) + write(2, 1, FREQUENCY, 2))
         assert wire.connection.eof_received() is True
-        desk.finish()
+        await finish(desk)
         assert not wire.is_closed
-        desk.finish()
+        await finish(desk)
         assert ids(wire) == [1, 2]
         assert wire.is_closed
 
@@ -320,7 +326,7 @@ def test_a_client_that_ends_its_stream_with_much_in_flight_gets_all_of_it() -> N
         wire.connection.data_received(b"".join(write(i, 1, FREQUENCY, i) for i in range(40)) + b"\0\0\0")
         assert wire.connection.eof_received() is True
         while desk.pending:
-            desk.finish()
+            await finish(desk)
             await asyncio.sleep(0)
         assert ids(wire) == list(range(40))
         assert wire.is_closed
@@ -360,13 +366,13 @@ def test_answers_of_writes_wait_for_a_client_that_reads_late() -> None:
         wire.connection.data_received(b"".join(write(i, 1, FREQUENCY, i) for i in range(20)))
         wire.connection.pause_writing()
         while desk.pending:
-            desk.finish()
+            await finish(desk)
         await asyncio.sleep(0)
         assert len(desk.begun) == IN_FLIGHT
         wire.connection.resume_writing()
         assert len(desk.begun) == 20
         while desk.pending:
-            desk.finish()
+            await finish(desk)
         await asyncio.sleep(0)
         assert ids(wire) == list(range(20))
         assert not wire.is_reading_paused
@@ -382,7 +388,7 @@ def test_waiting_for_a_drive_is_not_idling() -> None:
         wire = rig.connect()
         wire.connection.data_received(write(1, 1, FREQUENCY, 1))
         rig.clock.moment += 50.0
-        desk.finish()
+        await finish(desk)
         rig.clock.moment += 50.0
         assert wire.connection.overdue(rig.clock.moment, 60.0) is None
 
