@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from decimal import Decimal
 from functools import cache
 from pathlib import Path
@@ -285,3 +286,40 @@ def test_what_is_reckoned_is_nearly_reached(request_: Request) -> None:
     took = max(virtual.run(elapsed(line, request_, last + GAP * part / 20, 1.0)) for part in range(-20, 20))
     reckoned = refresh.at_most(line, drive, request_) - OWN_TIME
     assert reckoned - 1.01 * GAP <= took <= reckoned
+
+
+# ---- docs/scheduling.md
+
+
+PAGE = (Path(__file__).parents[2] / "docs" / "scheduling.md").read_text(encoding="utf-8")
+COLUMN = re.compile(r"(?P<protocol>[a-z-]+), (?P<baud>\d+) baud, (?P<margin>\d+) ms")
+
+
+def table() -> list[tuple[int, str, str]]:
+    """Return (drives, heading, shortest F803) for each cell of the page's table."""
+    rows = [[cell.strip() for cell in row.strip("|").split("|")] for row in PAGE.splitlines() if row.startswith("|")]
+    start = next(place for place, row in enumerate(rows) if row[0] == "drives")
+    headings, cells = rows[start][1:], [row for row in rows[start + 2 :] if row[0].isdigit()]
+    return [(int(row[0]), heading, cell) for row in cells for heading, cell in zip(headings, row[1:], strict=True)]
+
+
+def test_the_pages_table_is_what_is_reckoned() -> None:
+    """The shortest F803 for one to eight drives in four settings of a line."""
+    cells = table()
+    assert len(cells) == 16
+    for drives, heading, cell in cells:
+        asked = COLUMN.fullmatch(heading)
+        assert asked is not None, heading
+        line = built(
+            *[{"protocol": asked["protocol"], "communication_timeout": "100s"}] * drives,
+            baud=int(asked["baud"]),
+            answer_margin=f"{asked['margin']}ms",
+        ).lines[0]
+        assert str(refresh.worst_case(line).least_timeout) == cell, (drives, heading)
+
+
+def test_the_pages_sum_is_what_check_says() -> None:
+    """The one of config/everything.toml."""
+    (line,) = site.load(Path(__file__).parents[2] / "config" / "everything.toml").lines
+    (pump,) = refresh.refreshes(line)
+    assert f"pump-1: {pump}" in " ".join(PAGE.split())
