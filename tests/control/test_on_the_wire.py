@@ -1,0 +1,126 @@
+"""What a drive is sent when permission ends, frame by frame: a read in the wrong place keeps its F803 from acting."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from gateway.control.command import Reason, Status, Verb
+from gateway.sim.condition import TripCode
+from gateway.sim.faults import Fault, Kind
+from gateway.sim.journal import Way
+from tests.control.test_control_line import Stage, play, started
+
+F803, BEYOND = 1.5, 1.0  # seconds; the second is what a drive is left alone for beyond F803
+RAMP = 5.0  # seconds, more than 30 Hz to standstill take: F804 = 2 trips there
+STOP = bytes.fromhex("01 06 FA 00")
+RUNNING = 0x6400  # FD01 of a motor that runs
+FD00, FD01 = 0xFD00, 0xFD01
+
+
+class Watched:
+    """A stage whose events have times, and whose frames can be asked for; `at_loss` comes with the end of a lease."""
+
+    def __init__(self, stage: Stage, at_loss: Fault | None = None) -> None:
+        self.stage = stage
+        self.at: dict[str, float] = {}
+        self._at_loss = at_loss
+        stage.door.on_event(self._note)
+
+    def _note(self, _drive: str, event: str, _reason: str) -> None:
+        self.at.setdefault(event, asyncio.get_running_loop().time())
+        if event == "lease_lost" and self._at_loss is not None:
+            self.stage.bench.wire.faults.add(self._at_loss)
+
+    async def until(self, event: str) -> float:
+        """Wait until something was told, and return when."""
+        for _ in range(1000):
+            if event in self.at:
+                return self.at[event]
+            await asyncio.sleep(0.01)
+        raise AssertionError(f"{event} was never told, but {list(self.at)}")
+
+    def frames(self, begin: float, end: float) -> list[bytes]:
+        """Return what the gateway sent between two moments."""
+        entries = self.stage.bench.wire.journal.last(5000)
+        return [e.data for e in entries if e.way is Way.REQUEST and begin <= e.begin < end]
+
+
+async def running(stage: Stage, at_loss: Fault | None = None) -> Watched:
+    """Let the motor run for some seconds, its controller alive; then the controller dies."""
+    watched = Watched(stage, at_loss)
+    await started(stage)
+    await stage.beat_for(5.0)
+    return watched
+
+
+@pytest.mark.hazard("H05")
+def test_until_a_stop_is_answered_nothing_else_is_sent() -> None:
+    """The drive hears, and its answers are lost: every read in between would start its F803 anew."""
+
+    async def script(stage: Stage) -> None:
+        watched = await running(stage, Fault(Kind.DROP, 1))
+        left = await watched.until("quiesced")
+        sent = watched.frames(watched.at["lease_lost"], left)
+        assert len(sent) > 1
+        assert {frame[:4] for frame in sent} == {STOP}
+
+    play(script)
+
+
+@pytest.mark.hazard("H05")
+def test_a_drive_that_is_left_alone_gets_no_frame_until_its_f803_has_acted() -> None:
+    """Not even an identification; afterwards it is identified and observed again."""
+
+    async def script(stage: Stage) -> None:
+        watched = await running(stage, Fault(Kind.CUT, 1))
+        left = await watched.until("quiesced")
+        stage.bench.wire.faults.clear()
+        awake = await watched.until("awake")
+        assert awake - left >= F803 + BEYOND
+        assert watched.frames(left + 0.001, awake) == []
+        await asyncio.sleep(RAMP)
+        assert watched.frames(awake, awake + RAMP) != []
+        assert stage.bench.drive.inverter.condition.trip_code == TripCode.COMMUNICATION
+
+    play(script)
+
+
+@pytest.mark.hazard("H05")
+def test_a_stop_that_reads_back_is_no_proof_while_the_motor_turns() -> None:
+    """FA00 is as it should be, and FD01 and FD00 say that the motor goes on: left to F803, and never told as done."""
+
+    async def script(stage: Stage) -> None:
+        watched = await running(stage)
+        registers = stage.bench.drive.registers
+        registers.forced.update({FD00: 3000, FD01: RUNNING})
+        left = await watched.until("quiesced")
+        assert "on_loss" not in watched.at
+        assert left - watched.at["lease_lost"] > BEYOND
+        awake = await watched.until("awake")
+        assert watched.frames(left + 0.001, awake) == []
+
+    play(script)
+
+
+@pytest.mark.hazard("H08")
+def test_the_eeprom_is_written_as_often_as_is_permitted_and_no_more() -> None:
+    """A burst, then refusals that say when; a parameter that was written too often is not written at all."""
+
+    async def often(stage: Stage) -> None:
+        assert (await stage.ask(Verb.TAKE)).status is Status.DONE
+        results = [await stage.ask(Verb.SET, name="acceleration_time_1", value=f"{n}.5") for n in range(1, 5)]
+        assert [result.status for result in results] == [Status.DONE] * 2 + [Status.REFUSED] * 2
+        assert {result.reason for result in results[2:]} == {Reason.TOO_OFTEN}
+        assert stage.bench.drive.inverter.memory.eeprom_writes[0x0009] == 2
+
+    async def worn(stage: Stage) -> None:
+        assert (await stage.ask(Verb.TAKE)).status is Status.DONE
+        results = [await stage.ask(Verb.SET, name="acceleration_time_1", value=f"{n}.5") for n in range(1, 5)]
+        assert [str(result.reason) for result in results] == ["", "", "", "worn"]
+        assert stage.bench.drive.inverter.memory.eeprom_writes[0x0009] == 3
+
+    set_before = {"communication_timeout": 15, "timeout_action": 2}
+    play(often, {"allow_stored": True, "stored_writes": {"burst": 2, "per_hour": 1.0}}, registers=set_before)
+    play(worn, {"allow_stored": True, "stored_writes": {"burst": 10, "warn": 1, "refuse": 3}}, registers=set_before)
