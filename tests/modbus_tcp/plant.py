@@ -17,7 +17,7 @@ from gateway.control.door import Door, LineBell
 from gateway.control.state import DriveState
 from gateway.image import Image, LinkState
 from gateway.metrics import LineStats, Stats
-from gateway.modbus_tcp.connection import Connection
+from gateway.modbus_tcp.connection import Connection, source_of
 from gateway.modbus_tcp.gateway_unit import UNIT
 from gateway.modbus_tcp.mirror_map import LINES_AT, MIRROR_AT, ORDERS, PER_DRIVE, Place
 from gateway.modbus_tcp.server import ModbusTcpServer
@@ -178,6 +178,11 @@ class Master(Wire):
     async def shown(self, place: Place, index: int = 0) -> int:
         """Read one register of the mirror."""
         return (await self.read_words(UNIT, mirror(place, index), 1))[0]
+
+
+def stop_of(drive: str) -> Command:
+    """Return a stop of a drive."""
+    return Command(drive, Verb.STOP, source_of(("10.0.0.7",)), 0.0, 1.0)
 
 
 def several(address: int, *words: int) -> bytes:

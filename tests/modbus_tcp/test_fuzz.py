@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 import random
 import struct
 
 import pytest
 
-from tests.modbus_tcp.rig import Rig, Wire, answers, read, request
+from gateway.control.command import Reason, Result, Status
+from gateway.modbus_tcp.gateway_unit import UNIT
+from gateway.modbus_tcp.mirror_map import LINES_AT, Place
+from tests.modbus_tcp.plant import Listening, exchange, mirror, several, stop_of
+from tests.modbus_tcp.rig import Rig, Wire, answers, read, request, write
 from tests.soak import FACTOR
 
 SEED = 20_260_101
@@ -43,6 +48,58 @@ async def test_a_hundred_thousand_damaged_requests() -> None:
     assert not rig.places.taken
     assert answered == sum(rig.stats.tcp.requests.values()) > REQUESTS // 2
     assert closed > REQUESTS // 10
+
+
+WRITES = (
+    write(1, 1, 0xFA01, 3000),
+    request(2, 1, several(0xFA00, 0xC400, 3000)),
+    request(3, 1, exchange(0xFD00, 2, 0xFA00, 0xC400, 3000)),
+    write(4, UNIT, mirror(Place.COMMAND), 8),
+    request(5, UNIT, several(mirror(Place.COMMAND, 1), 4, 1, 3000, 2, 7)),
+    request(6, UNIT, exchange(mirror(Place.ECHO), 11, mirror(Place.COMMAND), 8, 1, 3000, 2, 7)),
+    request(7, UNIT, exchange(mirror(Place.STANDING), 4, mirror(Place.COMMAND), 8, 1, 3000, 2, 8)),
+    request(8, UNIT, several(LINES_AT, 6)),
+    write(9, 2, 0xFA00, 0x8000),
+    write(10, 0, 0xFA00, 0x8000),
+    read(11, UNIT, mirror(Place.COMMAND), 32),
+    read(12, 1, 0xFA00, 2),
+)
+
+
+@pytest.mark.hazard("H22")
+@pytest.mark.hazard("H26")
+@pytest.mark.hazard("H28")
+async def test_a_hundred_thousand_damaged_writes() -> None:
+    """Whatever comes of them, at once or later: one answer for each whole frame, in order, and no exception here."""
+    rng = random.Random(SEED)
+    made = Listening({}, {}, {"control": "off"})
+    ends = [Result(stop_of("d1"), status, reason, read_back={"command": 0}) for status in Status for reason in Reason]
+    state = made.door.state("d1")
+    asked = 0
+    for _ in range(REQUESTS):
+        data = damaged(rng, rng.choice(WRITES))
+        state.facts["command"] = rng.choice((0, 0x8000, 0xC400))
+        state.is_online = rng.random() < 0.5
+        wire = Wire(rng.choice(("10.0.0.7", "10.0.0.8")))
+        wire.connection = made.server._connection()
+        wire.connection.connection_made(wire)
+        feed(rng, wire, data)
+        waiting = [answer for _, answer in made.door.asked] + [stop[3] for stop in made.door.line_stops for _ in "ab"]
+        asked += len(waiting)
+        made.door.asked.clear()
+        made.door.line_stops.clear()
+        rng.shuffle(waiting)
+        for answer in waiting:
+            answer(rng.choice(ends))
+        if waiting:
+            await asyncio.sleep(0)
+        whole, is_in_step = judge(data)
+        found = answers(wire.sent)
+        assert wire.is_closed is not is_in_step
+        assert len(found) == whole if is_in_step else len(found) <= whole
+        wire.connection.connection_lost(None)
+    assert asked > REQUESTS // 10
+    assert not made.server._places.taken
 
 
 def feed(rng: random.Random, wire: Wire, data: bytes) -> None:

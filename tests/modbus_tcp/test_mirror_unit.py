@@ -7,21 +7,16 @@ import struct
 
 import pytest
 
-from gateway.control.command import Channel, Command, Reason, Result, Source, Status, Verb
+from gateway.control.command import Channel, Reason, Result, Source, Status, Verb
 from gateway.control.state import Standing
 from gateway.image import LinkState
 from gateway.modbus_tcp.connection import source_of
 from gateway.modbus_tcp.mirror_map import LINES_AT, MIRROR_AT, PER_DRIVE, REASONS
-from tests.modbus_tcp.plant import CODES, UNIT, Listening, Master, Place, code_of, exchange, mirror, several
+from tests.modbus_tcp.plant import CODES, UNIT, Listening, Master, Place, code_of, exchange, mirror, several, stop_of
 
 PLC = source_of(("10.0.0.7", "1"))
 NO_VALUE = 0x8000
 STOP_WORD = 0x8000
-
-
-def stop_of(drive: str) -> Command:
-    """Return a stop of a drive."""
-    return Command(drive, Verb.STOP, PLC, 0.0, 1.0)
 
 
 def told(master: Master, pdu: bytes) -> bytes:
