@@ -119,6 +119,7 @@ def test_the_sessions_are_true(tmp_path: Path) -> None:
     with SimulatedLine(simulated(tmp_path / "line")) as line, Mosquitto() as broker:
         text = blocks("toml")[0].replace(SHOWN["port"], str(tmp_path / "line"))
         text = text.replace(f":{SHOWN['mqtt']}", f":{broker.port}").replace(f":{SHOWN['tcp']}", f":{tcp}")
+        text = text.replace("\nport =", '\nanswer_margin = "300ms"\nport =').replace('"1.5s" ', f'"{F803}s" ')
         (tmp_path / "gateway.toml").write_text(text)
         log = tmp_path / "log"
         with gateway(tmp_path / "gateway.toml", log), shell(tmp_path, broker.port, tcp) as played:
