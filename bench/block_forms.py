@@ -6,12 +6,10 @@ own. The share is measured over what bits, gaps and the drive's own time allow: 
 
 from __future__ import annotations
 
-import argparse
-import json
 import statistics
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import uvloop
 
@@ -135,29 +133,14 @@ def ratios(results: list[Result]) -> Iterator[str]:
         yield f"values a second at {baud} baud, {first.form}: {times}"
 
 
-def main() -> None:
-    """Print the table, or the same as JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=2.0, help="length of a run")
-    parser.add_argument("--runs", type=int, default=3, help="runs of which the median is shown")
-    parser.add_argument("--json", action="store_true", help="print the results for programs")
-    options = parser.parse_args()
-    late: list[float] = []
-    results = []
-    if not options.json:
-        print(f"Five values of a drive, medians of {options.runs} runs of {options.seconds:g} s; gv: gap violations")
-        print(f"{'form':28}  baud  exchanges/s values/s  allowed   share  gv  lost failed")
-    for result in measured(late, options.seconds, options.runs):
-        results.append(result)
-        if not options.json:
-            print(row(result), flush=True)
-    lateness = statistics.median(late)
-    if options.json:
-        print(json.dumps({"results": [asdict(result) for result in results], "lateness_p99": lateness}, indent=1))
-    else:
-        print(*ratios(results), sep="\n")
-        print(f"the simulated line's own lateness, 99th percentile: {lateness * 1e6:.0f} microseconds")
-
+TABLE = one_drive.Table(
+    title="Five values of a drive",
+    head=f"{'form':28}  baud  exchanges/s values/s  allowed   share  gv  lost failed",
+    seconds=2.0,
+    measured=measured,
+    row=row,
+    ratios=ratios,
+)
 
 if __name__ == "__main__":
-    main()
+    one_drive.main(__doc__, TABLE)

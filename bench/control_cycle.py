@@ -6,18 +6,18 @@ no rate and no cycle time; the line says how many frames were lost to whom.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import json
 import statistics
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from bench import one_drive
 from bench.control_masters import FREQUENCIES, MASTERS
+from bench.figures import milliseconds, percentile
 from bench.one_drive import BAUDS, NUMBER
 from gateway.protocol.registry import PROTOCOLS
 from gateway.sim.process import SimulatedLine
@@ -84,7 +84,7 @@ def measure(line: SimulatedLine, name: str, baud: int, seconds: float, runs: int
         line.do({"do": "reset_stats"})
         counts = [master.cycles(seconds) for _ in range(runs)]
     counted, state = line.stats(), line.state(NUMBER)
-    times = sorted(time for count in counts for time in count["times"])
+    times = [time for count in counts for time in count["times"]]
     rate = statistics.median(len(count["times"]) / count["elapsed"] for count in counts)
     of = MASTERS[name]
     return Result(
@@ -93,7 +93,7 @@ def measure(line: SimulatedLine, name: str, baud: int, seconds: float, runs: int
         rate=rate,
         share=rate * one_drive.least_time(baud, PROTOCOLS[of.protocol], of.requests(FREQUENCIES[0])),
         median=statistics.median(times) if times else None,
-        p99=times[len(times) * 99 // 100] if times else None,
+        p99=percentile(times, 0.99) if times else None,
         failed=sum(count["failed"] for count in counts),
         gap_violations=counted["gap_violations"],
         lost=counted["lost"],
@@ -108,11 +108,6 @@ def measured(late: list[float], seconds: float, runs: int) -> Iterator[Result]:
             with SimulatedLine(one_drive.simulated(baud, master.protocol)) as line:
                 yield measure(line, name, baud, seconds, runs)
                 late.append(line.stats()["lateness_p99"])
-
-
-def milliseconds(seconds: float | None) -> str:
-    """Return a time as text."""
-    return "-" if seconds is None else f"{seconds * 1e3:.2f}"
 
 
 def row(result: Result) -> str:
@@ -134,29 +129,14 @@ def ratios(results: list[Result]) -> Iterator[str]:
         yield f"cycles a second at {baud} baud, of the best pymodbus ({best.master}): {times}"
 
 
-def main() -> None:
-    """Print the table, or the same as JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=1.5, help="length of a run")
-    parser.add_argument("--runs", type=int, default=3, help="runs of which the median is shown")
-    parser.add_argument("--json", action="store_true", help="print the results for programs")
-    options = parser.parse_args()
-    late: list[float] = []
-    results = []
-    if not options.json:
-        print(f"Control cycles of one drive, {options.runs} runs of {options.seconds:g} s; gv: gap violations")
-        print(f"{'master':21} baud cycles/s   share median ms  p99 ms failed   gv  lost  obeyed")
-    for result in measured(late, options.seconds, options.runs):
-        results.append(result)
-        if not options.json:
-            print(row(result), flush=True)
-    lateness = statistics.median(late)
-    if options.json:
-        print(json.dumps({"results": [asdict(result) for result in results], "lateness_p99": lateness}, indent=1))
-    else:
-        print(*ratios(results), sep="\n")
-        print(f"the simulated line's own lateness, 99th percentile: {lateness * 1e6:.0f} microseconds")
-
+TABLE = one_drive.Table(
+    title="Control cycles of one drive",
+    head=f"{'master':21} baud cycles/s   share median ms  p99 ms failed   gv  lost  obeyed",
+    seconds=1.5,
+    measured=measured,
+    row=row,
+    ratios=ratios,
+)
 
 if __name__ == "__main__":
-    main()
+    one_drive.main(__doc__, TABLE)

@@ -1,9 +1,14 @@
-"""One VF-nC3 on a wire-timed line in a process of its own, and the gateway's side of that line."""
+"""One VF-nC3 on a wire-timed line in a process of its own, the gateway's side of it, and how results are told."""
 
 from __future__ import annotations
 
+import argparse
 import contextlib
-from collections.abc import AsyncIterator, Iterable
+import json
+import statistics
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from gateway.bus.exchange import Exchanger
 from gateway.bus.serial_line import open_line
@@ -15,6 +20,11 @@ from gateway.protocol.pdu import Request
 from gateway.protocol.timing import LineTiming
 from gateway.sim.settings import SimulatedLineConfig
 from gateway.site import SERIAL_MARGIN, Line
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Result = TypeVar("Result", bound="DataclassInstance")
 
 MODEL = catalogue.load()["vf-nc3"]
 NUMBER = 1
@@ -55,3 +65,42 @@ def least_time(baud: int, codec: Codec, requests: Iterable[Request]) -> float:
     timing = LineTiming(baud)
     sizes = [(len(codec.encode(request)), codec.answer_size(request)) for request in requests]
     return sum(timing.exchange(request, answer, PROCESSING) for request, answer in sizes)
+
+
+@dataclass(frozen=True, slots=True)
+class Table(Generic[Result]):
+    """A benchmark of one drive: how it is measured and shown.
+
+    `measured` takes a list that gets each simulated line's lateness, the seconds of a run and the number of runs.
+    """
+
+    title: str
+    head: str
+    seconds: float
+    measured: Callable[[list[float], float, int], Iterator[Result]]
+    row: Callable[[Result], str]
+    ratios: Callable[[list[Result]], Iterator[str]]
+
+
+def main(description: str | None, table: Table[Result]) -> None:
+    """Measure, and print the table, or the same as JSON."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--seconds", type=float, default=table.seconds, help="length of a run")
+    parser.add_argument("--runs", type=int, default=3, help="runs of which the median is shown")
+    parser.add_argument("--json", action="store_true", help="print the results for programs")
+    options = parser.parse_args()
+    late: list[float] = []
+    results = []
+    if not options.json:
+        print(f"{table.title}, medians of {options.runs} runs of {options.seconds:g} s; gv: gap violations")
+        print(table.head)
+    for result in table.measured(late, options.seconds, options.runs):
+        results.append(result)
+        if not options.json:
+            print(table.row(result), flush=True)
+    lateness = statistics.median(late)
+    if options.json:
+        print(json.dumps({"results": [asdict(result) for result in results], "lateness_p99": lateness}, indent=1))
+    else:
+        print(*table.ratios(results), sep="\n")
+        print(f"the simulated line's own lateness, 99th percentile: {lateness * 1e6:.0f} microseconds")
