@@ -45,7 +45,7 @@ prove: $(VENV)/.dev $(VENV)/.package programs ## prove that the tests of each ha
 	@PATH="$$PATH:/usr/sbin" $(BIN)/python -m tools.prove $(PROVE_ARGS)
 	@$(BIN)/python -m tools.hazards
 
-bench: $(VENV)/.dev $(VENV)/.package ## measure line use, block forms, control cycles and MODBUS-TCP beside other programs
+bench: $(VENV)/.dev $(VENV)/.package ## measure line use, latencies and MODBUS-TCP, beside other programs (BENCH_ARGS=--quick)
 	@$(BIN)/python -m bench.run $(BENCH_ARGS)
 
 generate: $(VENV)/.dev $(VENV)/.package ## write the generated files anew: JSON Schema, table of licences, hazards

@@ -7,44 +7,27 @@ import contextlib
 import statistics
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
+from bench import whole_gateway
 from bench.masters import MASTERS
 from gateway.sim.process import SimulatedLine
-from gateway.sim.settings import SimulatedLineConfig
-from tests.mosquitto import Mosquitto, free_port
 
 GATEWAY = "tosvert-gateway"
 WARM_UP = 2.5  # seconds, in which the gateway identifies its drives
-FIVE = '["status", "output_frequency", "output_current", "output_voltage", "alarm"]'
-
-
-def simulated(baud: int, drives: int) -> SimulatedLineConfig:
-    """Return a line of VF-nC3 whose selectors are set, 5 ms in each drive."""
-    entries = [
-        {"number": number, "model": "vf-nc3", "block_read": [1, 2, 3, 4, 5], "running_at": 30.0}
-        for number in range(1, drives + 1)
-    ]
-    return SimulatedLineConfig.model_validate({"baud": baud, "drive": entries})
 
 
 @contextlib.contextmanager
 def running(name: str, port: str, baud: int, drives: int) -> Iterator[None]:
     """Run a master, or the whole gateway with its broker and its servers, while the block lasts."""
-    with contextlib.ExitStack() as stack:
-        if name == GATEWAY:
-            broker = stack.enter_context(Mosquitto())
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-            config = folder / "gateway.toml"
-            config.write_text("".join(gateway_file(port, baud, drives, broker.port)))
-            command = [sys.executable, "-m", "gateway", "run", str(config)]
-        else:
-            command = [sys.executable, "-m", "bench.masters", name, port, str(baud), str(drives)]
-        process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    if name == GATEWAY:
+        with whole_gateway.running(port, baud, drives, whole_gateway.More()):
+            yield
+        return
+    command = [sys.executable, "-m", "bench.masters", name, port, str(baud), str(drives)]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
         try:
             yield
         finally:
@@ -52,19 +35,10 @@ def running(name: str, port: str, baud: int, drives: int) -> Iterator[None]:
             process.wait(10)
 
 
-def gateway_file(port: str, baud: int, drives: int, broker: int) -> Iterator[str]:
-    """Yield a configuration with everything switched on, polling as fast as the line allows."""
-    yield f'[gateway]\nname = "bench"\n[mqtt]\nurl = "mqtt://127.0.0.1:{broker}"\n'
-    yield f'[modbus_tcp]\nlisten = "127.0.0.1:{free_port()}"\n[web]\nlisten = "127.0.0.1:{free_port()}"\n'
-    yield f'[[line]]\nname = "a"\nport = "{port}"\nbaud = {baud}\nparity = "even"\n'
-    for number in range(1, drives + 1):
-        yield f'[[line.drive]]\nname = "d{number}"\nnumber = {number}\nmodel = "vf-nc3"\n'
-        yield f'poll = [{{ values = {FIVE}, every = "0s" }}]\n'
-
-
 def measure(name: str, baud: int, drives: int, seconds: float) -> dict[str, Any]:
     """Return what the line counted while one master ran, with `share` of the limit and `late`."""
-    with SimulatedLine(simulated(baud, drives)) as line, running(name, line.port, baud, drives):
+    config = whole_gateway.simulated(baud, drives, running_at=30.0)
+    with SimulatedLine(config) as line, running(name, line.port, baud, drives):
         time.sleep(WARM_UP)
         line.do({"do": "reset_stats"})
         begun = time.monotonic()
