@@ -202,6 +202,8 @@ class Connection:
     # The socket.
 
     def _readable(self) -> None:
+        if self._fd < 0:
+            return  # it was lost since this was asked for
         try:
             self._read()
             self._hand_over()
@@ -253,6 +255,8 @@ class Connection:
 
     def _writable(self) -> None:
         self._is_flushing_soon = False
+        if self._fd < 0:
+            return
         try:
             self.flush()
         except Exception as error:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import ssl
+from typing import Any
 
 CONNECT, CONNACK, PUBLISH, PUBACK, SUBSCRIBE, SUBACK = 1, 0x20, 0x30, 0x40, 8, 0x90
 GRANTED = 1  # QoS
@@ -25,7 +27,14 @@ class PlayedBroker:
     `is_silent`: it confirms no subscription until `confirm`. Of messages it acknowledges all but results.
     """
 
-    def __init__(self, *, is_5: bool = True, code: int = GRANTED, is_silent: bool = False) -> None:
+    def __init__(
+        self,
+        *,
+        is_5: bool = True,
+        code: int = GRANTED,
+        is_silent: bool = False,
+        context: ssl.SSLContext | None = None,
+    ) -> None:
         self.port = 0
         self.subscribed = asyncio.Event()
         self.subscriptions: list[bytes] = []
@@ -33,10 +42,11 @@ class PlayedBroker:
         self._is_5 = is_5
         self._code = code
         self._is_silent = is_silent
+        self._context = context
         self._writer: asyncio.StreamWriter | None = None
 
     async def __aenter__(self) -> PlayedBroker:
-        self._server = await asyncio.start_server(self._meet, "127.0.0.1", 0)
+        self._server = await asyncio.start_server(self._meet, "127.0.0.1", 0, ssl=self._context)
         self.port = self._server.sockets[0].getsockname()[1]
         return self
 
@@ -50,13 +60,17 @@ class PlayedBroker:
         assert self._writer is not None
         self._writer.write(raw)
 
-    def publish(
+    def publish(self, topic: bytes, payload: bytes, **more: Any) -> None:
+        """Send a message."""
+        self.send(self.message(topic, payload, **more))
+
+    def message(
         self, topic: bytes, payload: bytes, *, retain: bool = False, dup: bool = False, properties: bytes = b""
-    ) -> None:
-        """Send a message of QoS 1."""
+    ) -> bytes:
+        """Return a message of QoS 1."""
         named = len(topic).to_bytes(2, "big") + topic
         rest = b"\x00\x07" + (bytes([len(properties)]) + properties if self._is_5 else b"")
-        self.send(packet(PUBLISH | 8 * dup | 2 | retain, named + rest + payload))
+        return packet(PUBLISH | 8 * dup | 2 | retain, named + rest + payload)
 
     async def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._writer = writer

@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import ssl
 from collections.abc import AsyncIterator, Callable, Iterator
 from decimal import Decimal
+from pathlib import Path
 from typing import Any, cast
 
 import pytest
@@ -19,6 +21,7 @@ from gateway.image import Image
 from gateway.mqtt import bridge as bridge_module
 from gateway.mqtt import connection as connection_module
 from tests.mosquitto import LIMIT, Mosquitto, Subscriber, program
+from tests.mqtt.certificates import Authority
 from tests.mqtt.doors import DIRECT, LEASED, KeptDoor, small_site
 from tests.mqtt.played import PlayedBroker
 from tests.mqtt.rig import GATEWAY, STATUS, Cable, Log, Running, running
@@ -386,6 +389,24 @@ async def test_a_broker_that_sends_what_was_not_asked_for_moves_nothing() -> Non
         assert [command.verb for command in made.door.submitted] == [Verb.STOP]
         assert made.stats.refused == {"retained": 1, "expired": 2}
         assert made.stats.ignored == 2
+
+
+async def test_all_commands_of_a_tls_record_are_heard(tmp_path: Path) -> None:
+    """More than are read at a stretch: the socket is silent about what TLS holds already."""
+    authority = Authority(tmp_path)
+    certificate, key = authority.issue("broker", "IP:127.0.0.1")
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    context.load_cert_chain(certificate, key)
+    many = 5 * connection_module.READ_AT_ONCE
+    async with PlayedBroker(context=context) as broker:
+        settings: dict[str, Any] = {
+            "url": f"mqtts://127.0.0.1:{broker.port}",
+            "tls": {"ca": str(authority.certificate)},
+        }
+        async with commanded(0, **settings) as made:
+            await broker.subscribed.wait()
+            broker.send(b"".join(broker.message(COMMAND.encode(), b"stop") for _ in range(many)))
+            await made.door.until(lambda: len(made.door.submitted) == many)
 
 
 @pytest.mark.hazard("H02")
