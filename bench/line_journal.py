@@ -16,7 +16,7 @@ from typing import Any
 from gateway.sim.process import SimulatedLine
 
 KEPT = 10_000  # entries of the journal
-KNOWN_WITHIN = 0.001  # seconds from a command's sending to the gateway: kernel, broker and event loop
+KNOWN_WITHIN = 0.0005  # seconds from a command's sending to the gateway: kernel, broker and event loop
 BRACKETS = 30  # events by which the line's clock is found; together they leave some 20 microseconds of doubt
 HARMLESS = {"do": "force", "register": "status"}  # an event that changes nothing: what is true is read anyway
 
