@@ -63,7 +63,7 @@ COUNTERS = (
     Counter("mqtt_dropped", "messages dropped because too many waited", is_long=True),
 )
 COUNTERS_FORM = struct.Struct(">" + "".join("I" if counter.is_long else "H" for counter in COUNTERS))
-MAP_VERSION = 1
+MAP_VERSION = 2
 
 
 class DriveBlock:

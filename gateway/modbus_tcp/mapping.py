@@ -6,70 +6,17 @@ import csv
 import io
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 
-from gateway.drives.register import Register
 from gateway.image import LinkState, Quality
 from gateway.modbus_tcp import gateway_unit
+from gateway.modbus_tcp.map_rows import MapDocument, Row, Table, row_of
+from gateway.modbus_tcp.mirror_rows import command_tables
+from gateway.modbus_tcp.read_back import FRESH_FOR, commanded_registers
 from gateway.site import Drive, Site
 
-REFERENCE_BASE = 400_001  # six-digit references to holding registers begin here
 MOST_CODES_IN_A_CELL = 6
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One value of the map: where it stands and what its words mean. `max_age` in seconds; older is not answered."""
-
-    unit_id: int
-    drive: str
-    address: int
-    name: str
-    title: str = ""
-    scale: str = "1"
-    unit: str = ""
-    is_signed: bool = False
-    is_long: bool = False
-    max_age: float | None = None
-    bits: Mapping[int, str] = field(default_factory=dict)
-    codes: Mapping[int, str] = field(default_factory=dict)
-    note: str = ""
-
-    @property
-    def register_number(self) -> int:
-        """Return the address as tools that count from 1 want it."""
-        return self.address + 1
-
-    @property
-    def reference(self) -> str:
-        """Return the address as a six-digit reference: FD00H is 464769."""
-        return str(REFERENCE_BASE + self.address)
-
-    @property
-    def type_name(self) -> str:
-        """Return the type as tag lists spell it; 32 bits are two words, the high one first."""
-        return "uint32" if self.is_long else "int16" if self.is_signed else "uint16"
-
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    """The rows of one drive, of the compact map, or of the counters."""
-
-    title: str
-    rows: tuple[Row, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class MapDocument:
-    """The whole map of one gateway."""
-
-    gateway: str
-    tables: tuple[Table, ...]
-
-    @property
-    def rows(self) -> tuple[Row, ...]:
-        """Return every row, in the order of the tables."""
-        return tuple(row for table in self.tables for row in table.rows)
+POLLED_AND_WRITTEN = "also written"
+WRITTEN = f"written; read for {FRESH_FOR:g} s after it was read back"
 
 
 def register_map(site: Site) -> MapDocument:
@@ -81,35 +28,24 @@ def register_map(site: Site) -> MapDocument:
         (
             *(_drive_table(drive) for drive in site.drives),
             Table(f"Unit {own}: compact map, 16 registers a drive (8000H: no value)", tuple(compact)),
+            *command_tables(site),
             Table(f"Unit {own}: counters of the gateway", tuple(_counter_rows())),
         ),
     )
 
 
 def _drive_table(drive: Drive) -> Table:
-    points = sorted(drive.points.values(), key=lambda point: point.register.address)
-    rows = (_row(drive.unit, drive.name, p.register.address, p.register, p.max_age) for p in points)
-    return Table(f"Unit {drive.unit}: {drive.name} ({drive.model.title}, line {drive.line})", tuple(rows))
-
-
-def _row(
-    unit_id: int, drive: str, address: int, register: Register, max_age: float | None, note: str = ""
-) -> Row:
-    texts = register.enumeration.texts if register.enumeration else {}
-    return Row(
-        unit_id=unit_id,
-        drive=drive,
-        address=address,
-        name=register.name,
-        title=register.title,
-        scale=f"{register.scaling.scale:f}",
-        unit=register.unit,
-        is_signed=register.scaling.signed,
-        max_age=max_age,
-        bits=register.bits,
-        codes=texts,
-        note=note,
-    )
+    """Lay out what is polled and, of a drive that may be commanded, what may be written."""
+    rows = {
+        register.address: row_of(drive.unit, drive.name, register.address, register, None, WRITTEN)
+        for register in commanded_registers(drive)
+    }
+    for point in drive.points.values():
+        address = point.register.address
+        note = POLLED_AND_WRITTEN if address in rows else ""
+        rows[address] = row_of(drive.unit, drive.name, address, point.register, point.max_age, note)
+    title = f"Unit {drive.unit}: {drive.name} ({drive.model.title}, line {drive.line})"
+    return Table(title, tuple(rows[address] for address in sorted(rows)))
 
 
 def _compact_rows(drive: Drive, place: int) -> Iterator[Row]:
@@ -123,9 +59,9 @@ def _compact_rows(drive: Drive, place: int) -> Iterator[Row]:
     for address, name in enumerate(gateway_unit.VALUES, start + gateway_unit.VALUES_AT):
         point, register = drive.points.get(name), drive.model.registers.get(name)
         if point is not None:
-            yield _row(unit, drive.name, address, point.register, point.max_age)
+            yield row_of(unit, drive.name, address, point.register, point.max_age)
         elif register is not None:
-            yield _row(unit, drive.name, address, register, None, "not read from this drive: always 8000H")
+            yield row_of(unit, drive.name, address, register, None, "not read from this drive: always 8000H")
         else:
             yield Row(unit, drive.name, address, name, note="this model has no such value: always 8000H")
     held = {gateway_unit.VALUES_AT + i: name for i, name in enumerate(gateway_unit.VALUES)}

@@ -13,7 +13,7 @@ from gateway.modbus_tcp.mirror_map import ENDED, NOTHING, ORDERS, REASONS, STATU
 
 ASKING = frozenset((Place.COMMAND, Place.FREQUENCY, Place.PARAMETER))  # the others ask for nothing by themselves
 
-SHOWN_BY_STATUS = (ExceptionCode.ACKNOWLEDGE, ExceptionCode.SERVER_DEVICE_BUSY)
+SHOWN_BY_RESULT = (ExceptionCode.ACKNOWLEDGE, ExceptionCode.SERVER_DEVICE_BUSY)
 
 
 class Wrong(Exception):
@@ -43,11 +43,11 @@ class MirrorCommands:
         if sheet is None or sheet.last is None:
             return {} if sheet is None else sheet.words
         result = sheet.last.result
-        status = UNDER_WAY if result is None else STATUSES[result.status]
+        end = UNDER_WAY if result is None else STATUSES[result.status]
         if result is not None and sheet.has_ended(self._door.controls[drive].state, now):
-            status = ENDED
+            end = ENDED
         reason = 0 if result is None else REASONS[result.reason]
-        return {**sheet.words, Place.ECHO: sheet.last.sequence, Place.STATUS: status, Place.REASON: reason}
+        return {**sheet.words, Place.ECHO: sheet.last.sequence, Place.RESULT: end, Place.REASON: reason}
 
     def write(self, drive: str, words: Words, source: Source, tell: Tell) -> None:
         """Take the heartbeat first, then the command that the words make, if any; Wrong where there is no result."""
@@ -69,7 +69,7 @@ class MirrorCommands:
         try:
             self.write(drive, words, source, lambda _: None)
         except Wrong as wrong:
-            if wrong.code not in SHOWN_BY_STATUS:
+            if wrong.code not in SHOWN_BY_RESULT:
                 raise
 
     def _command(self, drive: str, sheet: Sheet, words: Words, tell: Tell) -> None:

@@ -26,7 +26,7 @@ class Place(IntEnum):
     PARAMETER = 3
     SEQUENCE = 4
     ECHO = 5
-    STATUS = 6
+    RESULT = 6
     REASON = 7
     STANDING = 8
     OWNER = 9
@@ -76,7 +76,7 @@ ORDERS: Mapping[int, Order] = {
 }
 LINE_ORDERS: Mapping[int, Order] = {code: order for code, order in ORDERS.items() if order.verb.is_stopping}
 
-UNDER_WAY = 5  # the status of a command that has no result yet
+UNDER_WAY = 5  # the result of a command that has none yet
 ENDED = 6  # of one that was done, and holds no longer: a motor that was stopped since, a lease that is over
 STATUSES: Mapping[Status, int] = {Status.DONE: 1, Status.REFUSED: 2, Status.FAILED: 3, Status.UNKNOWN: 4}
 STANDINGS: Mapping[Standing, int] = {

@@ -72,7 +72,7 @@ class MirrorUnit:
             return ANSWER_AT_MOST
         index, words = self._of_one_drive(request)
         drive = self._drives[index]
-        if _reads_status(request, index):
+        if _reads_result(request, index):
             self._commands.write_and_show(drive, words, source)
             tell(None)
         else:
@@ -145,10 +145,10 @@ class MirrorUnit:
         return {place: int.from_bytes(block[2 * at : 2 * at + 2], "big") for place, at in SHOWN.items()}
 
 
-def _reads_status(request: WriteRequest, index: int) -> bool:
-    """Say whether 17H reads the status of the drive that it writes to: that tells how it ends, no exception does."""
-    status = MIRROR_AT + PER_DRIVE * index + Place.STATUS
-    return request.read is not None and request.read[0] <= status < sum(request.read)
+def _reads_result(request: WriteRequest, index: int) -> bool:
+    """Say whether 17H reads the result register of the drive that it writes to: no exception is needed then."""
+    result = MIRROR_AT + PER_DRIVE * index + Place.RESULT
+    return request.read is not None and request.read[0] <= result < sum(request.read)
 
 
 def _address(owner: Source) -> tuple[int, int]:

@@ -287,13 +287,13 @@ def test_a_fault_reset_is_acknowledged_and_told_by_the_mirror() -> None:
         await asyncio.sleep(1.0)
         assert await master.order("run") == 6
         assert await master.order("reset") == 5
-        assert await master.shown(Place.STATUS) == 5
+        assert await master.shown(Place.RESULT) == 5
         for beat in range(20):
             await master.write_one(UNIT, 0x8001, beat)
             await asyncio.sleep(0.5)
-            if await master.shown(Place.STATUS) != 5:
+            if await master.shown(Place.RESULT) != 5:
                 break
-        assert await master.shown(Place.STATUS) == 1
+        assert await master.shown(Place.RESULT) == 1
         assert await master.shown(Place.STANDING) == 2
 
     play(script)

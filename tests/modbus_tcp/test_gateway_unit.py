@@ -124,7 +124,7 @@ def test_counters() -> None:
     image.drives[1].set_link(LinkState.OFFLINE)
     told = words(unit(image, stats), 0xF000, 24, NOW + 65_537.9)
     version = version_number(IDENTITY["version"])
-    expected = (1, version, 1, 1, 2, 1, 2, 1, 1, 0x2346, 1, 4465, 1, 2, 1, 0, 0, 6, 0, 5, 0, 3, 0, 4)
+    expected = (2, version, 1, 1, 2, 1, 2, 1, 1, 0x2346, 1, 4465, 1, 2, 1, 0, 0, 6, 0, 5, 0, 3, 0, 4)
     assert told == expected
     assert words(unit(image, stats), 0xF008, 2) == (1, 0x2346)
 

@@ -203,7 +203,7 @@ class TestCyclicImage:
         first, second = made.connect(), made.connect()
         one = write(first, CODES["run"], 1, 3000)
         assert code(second, write(second, CODES["run"], 2, 3000)) == 5
-        both = second.send(UNIT, exchange(mirror(Place.STATUS), 1, mirror(Place.COMMAND), CODES["run"], 3, 3000))
+        both = second.send(UNIT, exchange(mirror(Place.RESULT), 1, mirror(Place.COMMAND), CODES["run"], 3, 3000))
         assert second.told(both) == b"\x17\x02\x00\x05"
         assert len(made.door.asked) == 1
         await made.end(Status.UNKNOWN, Reason.NO_ANSWER)

@@ -102,14 +102,14 @@ async def test_a_command_is_shown_with_its_sequence_from_under_way_to_its_end() 
     master.send(UNIT, several(mirror(Place.COMMAND), CODES["run"], 7, 3000, 0, 41))
     found = shown(made.connect())
     assert [found[place] for place in Place][:5] == [CODES["run"], 7, 3000, 0, 41]
-    assert (found[Place.ECHO], found[Place.STATUS], found[Place.REASON]) == (41, 5, 0)
+    assert (found[Place.ECHO], found[Place.RESULT], found[Place.REASON]) == (41, 5, 0)
     await made.end(Status.REFUSED, Reason.NOT_ARMED)
     found = shown(master)
-    assert (found[Place.ECHO], found[Place.STATUS], found[Place.REASON]) == (41, 2, REASONS[Reason.NOT_ARMED])
+    assert (found[Place.ECHO], found[Place.RESULT], found[Place.REASON]) == (41, 2, REASONS[Reason.NOT_ARMED])
     master.send(UNIT, several(mirror(Place.COMMAND), CODES["arm"], 8, 3000, 0, 42))
     await made.end()
     found = shown(master)
-    assert (found[Place.ECHO], found[Place.STATUS], found[Place.REASON]) == (42, 1, 0)
+    assert (found[Place.ECHO], found[Place.RESULT], found[Place.REASON]) == (42, 1, 0)
 
 
 @pytest.mark.hazard("H04")
@@ -175,20 +175,20 @@ async def test_17h_that_reads_the_status_is_answered_at_once_whatever_the_end() 
     state.is_online, state.standing = True, Standing.ARMED
     master = made.connect()
     found = cycle(master, CODES["run"], 1, 3000, 0, 3)
-    assert (found[Place.ECHO], found[Place.STATUS], found[Place.OUTPUT_FREQUENCY]) == (3, 5, 2990)
+    assert (found[Place.ECHO], found[Place.RESULT], found[Place.OUTPUT_FREQUENCY]) == (3, 5, 2990)
     assert found[Place.DRIVE_STATUS] == 0x0400
-    assert cycle(master, CODES["run"], 2, 3000, 0, 3)[Place.STATUS] == 5
+    assert cycle(master, CODES["run"], 2, 3000, 0, 3)[Place.RESULT] == 5
     await made.end(Status.REFUSED, Reason.RANGE)
     found = cycle(master, CODES["run"], 3, 3000, 0, 3)
-    assert (found[Place.STATUS], found[Place.REASON]) == (2, REASONS[Reason.RANGE])
+    assert (found[Place.RESULT], found[Place.REASON]) == (2, REASONS[Reason.RANGE])
     cycle(master, CODES["run"], 4, 3000, 0, 4)
     await made.end()
     state.facts["command"] = 0xC400
     found = cycle(master, CODES["run"], 5, 3000, 0, 4)
-    assert (found[Place.ECHO], found[Place.STATUS]) == (4, 1)
+    assert (found[Place.ECHO], found[Place.RESULT]) == (4, 1)
     state.facts["command"] = STOP_WORD
     found = cycle(master, CODES["run"], 6, 3000, 0, 4)
-    assert (found[Place.ECHO], found[Place.STATUS]) == (4, 6)
+    assert (found[Place.ECHO], found[Place.RESULT]) == (4, 6)
     assert made.door.asked == []
 
 
@@ -217,7 +217,7 @@ async def test_17h_that_reads_something_else_waits_for_the_end() -> None:
     asked = master.send(UNIT, exchange(mirror(Place.STANDING), 1, mirror(Place.COMMAND), CODES["take"], 1))
     await made.end(Status.REFUSED, Reason.NOT_OWNER)
     assert master.told(asked) == b"\x97\x06"
-    assert told(master, exchange(mirror(Place.STATUS), 1, mirror(Place.COMMAND), 99)) == b"\x97\x03"
+    assert told(master, exchange(mirror(Place.RESULT), 1, mirror(Place.COMMAND), 99)) == b"\x97\x03"
 
 
 class TestLineStops:

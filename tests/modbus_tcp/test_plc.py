@@ -59,7 +59,7 @@ class Plc:
     @property
     def status(self) -> int:
         """Return what became of the last command."""
-        return self.inputs[Place.STATUS]
+        return self.inputs[Place.RESULT]
 
 
 async def running(plant: Plant, frequency: int = 3000) -> Plc:
