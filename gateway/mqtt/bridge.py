@@ -15,9 +15,10 @@ from gateway.image import DriveImage, Image
 from gateway.metrics import MqttStats
 from gateway.mqtt import access, client
 from gateway.mqtt.backoff import Backoff
-from gateway.mqtt.connection import LEAVE_LIMIT, BrokerAway, Connection, Ears, close
+from gateway.mqtt.connection import LEAVE_LIMIT, BrokerAway, Connection, close
 from gateway.mqtt.listener import Listener
 from gateway.mqtt.publisher import Publisher
+from gateway.mqtt.reception import Ears
 
 log = logging.getLogger("gateway.mqtt")
 

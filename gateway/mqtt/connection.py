@@ -19,8 +19,8 @@ from gateway.config import MqttSection
 from gateway.errors import GatewayError
 from gateway.metrics import MqttStats
 from gateway.mqtt import reasons
-from gateway.mqtt.commands import Message
 from gateway.mqtt.publisher import FOR_EVER
+from gateway.mqtt.reception import Ears, Reception
 
 log = logging.getLogger("gateway.mqtt")
 
@@ -80,14 +80,6 @@ class Made:
     correlation: Callable[[bytes], Any]
 
 
-@dataclass(frozen=True, slots=True)
-class Ears:
-    """Who hears what the broker sends: `hear` each message, `pause` when those of one stretch are read."""
-
-    hear: Callable[[Message], None]
-    pause: Callable[[], None]
-
-
 class Connection:
     """One connection by a paho client that is thrown away with it, so that nothing of an old one is sent late.
 
@@ -113,10 +105,7 @@ class Connection:
         self._is_flushing_soon = False
         self._largest: int | None = None
         self._was_refused = False
-        self._heard: list[Message] = []
-        self._ears: Ears | None = None
-        self._subscribed: dict[int, list[str]] = {}
-        self._is_subscribed = False
+        self._reception = Reception(made.client, stats)
         self._news = asyncio.Event()
         self._wanted_room = 0
         self._error: Exception | None = None
@@ -131,8 +120,6 @@ class Connection:
         client.on_disconnect = self._on_disconnect
         client.on_socket_close = self._on_socket_close
         client.on_socket_register_write = _do_nothing  # it keeps paho from writing message by message
-        client.on_message = self._on_message
-        client.on_subscribe = self._on_subscribe
         if self._qos:
             client.on_publish = self._on_publish
         sock = client.socket()
@@ -162,33 +149,6 @@ class Connection:
             self._was_refused = True
             log.warning("the broker refuses messages: %s", reasons.of_code(code.value, code.getName()))
 
-    def _on_message(self, _client: Any, _data: Any, message: Any) -> None:
-        """Take note of a message; one whose topic is no text is none of ours."""
-        try:
-            topic = message.topic
-        except UnicodeDecodeError:
-            self._stats.ignored += 1
-            return
-        known = getattr(message, "properties", None)
-        self._heard.append(
-            Message(
-                topic=topic,
-                payload=bytes(message.payload),
-                is_retained=bool(message.retain),
-                is_repeated=bool(message.dup),
-                is_early=not self._is_subscribed,
-                expiry=getattr(known, "MessageExpiryInterval", None),
-                response_topic=getattr(known, "ResponseTopic", ""),
-                correlation=getattr(known, "CorrelationData", b""),
-            )
-        )
-
-    def _on_subscribe(self, _client: Any, _data: Any, mid: int, codes: Sequence[Any], _properties: Any) -> None:
-        self._is_subscribed = True
-        for topic, code in zip(self._subscribed.pop(mid, ()), codes, strict=False):
-            if code.is_failure:
-                log.warning("no commands by %s: %s", topic, reasons.of_subscription(code.value, code.getName()))
-
     def _on_socket_close(self, _client: Any, _data: Any, _sock: Any) -> None:
         self._detach()
 
@@ -206,7 +166,7 @@ class Connection:
             return  # it was lost since this was asked for
         try:
             self._read()
-            self._hand_over()
+            self._reception.hand_over()
             self.flush()
         except Exception as error:
             self.fail(error)
@@ -214,12 +174,12 @@ class Connection:
     def _read(self) -> None:
         """Read some messages; what is left makes the socket readable again, but for what TLS has read already."""
         for _ in range(READ_AT_ONCE):
-            before = len(self._heard)
+            before = self._reception.count
             self._client.loop_read()
             self._refuse_large_packet()
             if self.lost is not None:
                 return
-            if len(self._heard) == before and not self._has_pending():
+            if self._reception.count == before and not self._has_pending():
                 return
         if self._has_pending():
             self._loop.call_soon(self._readable)
@@ -232,20 +192,9 @@ class Connection:
             self._detach()
             self._news.set()
 
-    def _hand_over(self) -> None:
-        """Hand on what has come, outside of paho's lock."""
-        heard, self._heard = self._heard, []
-        if self._ears is None or not heard:
-            return
-        for message in heard:
-            self._ears.hear(message)
-        self._ears.pause()
-
     def listen(self, subscriptions: Sequence[tuple[str, Any]], ears: Ears) -> None:
         """Subscribe, and hand every message that comes to `ears`."""
-        self._ears = ears
-        _, mid = self._client.subscribe(list(subscriptions))
-        self._subscribed[mid] = [topic for topic, _ in subscriptions]
+        self._reception.listen(subscriptions, ears)
         self.flush()
 
     def _has_pending(self) -> bool:

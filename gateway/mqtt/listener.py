@@ -17,8 +17,8 @@ from gateway.control.door import STALLED, Door
 from gateway.control.results import Results
 from gateway.metrics import MqttStats
 from gateway.mqtt import commands, outcome
-from gateway.mqtt.commands import Message
 from gateway.mqtt.inbox import Allowance, Inbox, Waiting
+from gateway.mqtt.message import Beat, LineStop, Message, Moment
 
 GOOD_FOR = 1.0  # seconds of a command for a drive that nobody may command
 REFUSALS = 50.0  # a second that are answered; more are counted only
@@ -94,13 +94,13 @@ class Listener:
             return
         control = self._door.controls.get(levels[0])
         good_for = GOOD_FOR if control is None else control.settings.command_timeout
-        moment = commands.Moment(self._since(), self._clock.wall(), good_for, self._max_age)
+        moment = Moment(self._since(), self._clock.wall(), good_for, self._max_age)
         read = commands.read(message, levels, moment, None if control is None else control.drive.model)
         answer = partial(self._answer, message)
         match read:
-            case commands.Beat(drive, source, beat):
+            case Beat(drive, source, beat):
                 self._door.beat(drive, source, beat)
-            case commands.LineStop(line, command):
+            case LineStop(line, command):
                 self._stop_line(line, Waiting(command, answer))
             case Command():
                 self._take(Waiting(read, answer))

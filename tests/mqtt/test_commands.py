@@ -11,7 +11,7 @@ import pytest
 
 from gateway.control.command import Channel, Command, Reason, Result, Source, Status, Verb
 from gateway.mqtt import commands
-from gateway.mqtt.commands import Beat, LineStop, Message, Moment
+from gateway.mqtt.message import Beat, LineStop, Message, Moment
 from tests.mqtt.doors import nc3
 
 NOON = 1_772_366_400.0  # 2026-03-01T12:00:00Z

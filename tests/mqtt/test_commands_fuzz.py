@@ -14,8 +14,8 @@ from gateway.control.command import Command, Result, Status
 from gateway.control.door import Door
 from gateway.metrics import MqttStats
 from gateway.mqtt import commands, exact, outcome
-from gateway.mqtt.commands import Beat, LineStop, Message, Moment
 from gateway.mqtt.listener import Listener
+from gateway.mqtt.message import Beat, LineStop, Message, Moment
 from tests import soak
 from tests.mqtt.doors import LEASED, StandingClock, nc3, small_site
 from tests.mqtt.rig import section

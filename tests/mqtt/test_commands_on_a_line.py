@@ -13,8 +13,8 @@ import pytest
 from gateway.bus.worker import LineWorker
 from gateway.control.door import Door, LineBell
 from gateway.metrics import MqttStats
-from gateway.mqtt.commands import Message
 from gateway.mqtt.listener import Listener
+from gateway.mqtt.message import Message
 from tests import virtual
 from tests.bus.rig import Bench, bench, nc3
 from tests.mqtt.rig import section

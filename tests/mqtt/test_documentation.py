@@ -11,7 +11,7 @@ import pytest
 from gateway.control.command import Channel, Command, Result, Source, Status, Verb
 from gateway.control.state import Standing
 from gateway.mqtt import commands, inbox, listener, outcome
-from gateway.mqtt.commands import Message, Moment
+from gateway.mqtt.message import Message, Moment
 from tests.mqtt.doors import LEASED, READ_ONLY, KeptDoor, StandingClock, nc3
 
 PAGE = (Path(__file__).parents[2] / "docs" / "mqtt.md").read_text(encoding="utf-8")
