@@ -13,6 +13,7 @@ from gateway import __version__, systemd
 from gateway.bus.serial_line import open_line
 from gateway.bus.worker import LineWorker, Opener
 from gateway.clock import Clock, SystemClock
+from gateway.control.command import Result
 from gateway.control.door import Door, LineBell
 from gateway.control.ledger import Ledger
 from gateway.errors import GatewayError
@@ -71,9 +72,14 @@ class App:
                 self.clock,
                 opener,
                 self.door.controls,
+                self.door.ledger.note,
             )
             for line in site.lines
         ]
+        for name, control in self.door.controls.items():
+            self.stats.drives[name].standing = control.standing.value
+        self.door.on_event(self._count_event)
+        self.door.on_result(self._count_result)
         for line, worker in zip(site.lines, self.workers, strict=True):
             self.door.connect(LineBell(line.name, tuple(d.name for d in line.drives), worker.ring, worker.announce))
         self.bridge = (
@@ -86,8 +92,19 @@ class App:
             if config.modbus_tcp
             else None
         )
-        self.web = WebServer(config.web, self.image, self.stats, site, self.clock) if config.web else None
+        self.web = (
+            WebServer(config.web, self.image, self.stats, site, self.clock, self.door.ledger) if config.web else None
+        )
         self._stop = asyncio.Event()
+
+    def _count_event(self, drive: str, event: str, _reason: str) -> None:
+        self.stats.drives[drive].events[event] += 1
+        self.stats.drives[drive].standing = self.door.controls[drive].standing.value
+
+    def _count_result(self, result: Result) -> None:
+        drive = self.stats.drives.get(result.command.drive)
+        if drive is not None:
+            drive.commands[result.status.value, result.reason.value] += 1
 
     def stop(self) -> None:
         """Ask the running gateway to end in order."""
@@ -129,10 +146,12 @@ class App:
             await self._run_tasks()
         finally:
             systemd.notify("STOPPING=1")
-            for server in reversed(started):
-                await server.stop()
-            if self.store is not None:
-                await self.store.close()
+            try:
+                for server in reversed(started):
+                    await server.stop()
+            finally:
+                if self.store is not None:
+                    await self.store.close()
 
     async def _run_tasks(self) -> None:
         """Run the core tasks together; the first that ends, ends them all: lines first, so that MQTT can say so."""

@@ -65,7 +65,7 @@ class LineControls:
         """Watch over the drive's F803 as it is known now, or leave it to itself; return its seconds."""
         control = self.controls[drive]
         is_watched = control.state.is_online and not control.is_quiet and not control.is_exclusive
-        timeout = control.state.timeout if is_watched else 0.0
+        timeout = control.state.shortest_timeout if is_watched else 0.0
         self.keepalive.arm(drive, timeout)
         return timeout
 

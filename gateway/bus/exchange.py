@@ -31,6 +31,8 @@ class Answered:
     sent: float
     done: float
 
+STALE = 0.1  # seconds after its time at which an answer was read, not given: the process stood still (SAFETY.md H23)
+
 
 class Exchanger:
     """Carries out exchanges on one line, one at a time.
@@ -100,6 +102,8 @@ class Exchanger:
         is_started = False
         while True:
             data = await self._line.read(deadline)
+            if data and self._clock.now() > deadline + STALE:
+                raise BadReply(f"number {request.number}: an answer that may have lain here for long: read too late")
             if data and not is_started:
                 is_started = True
                 deadline += self._timing.answer(max(size, least))

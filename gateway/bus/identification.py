@@ -48,6 +48,10 @@ class Identification:
         names = (SERIES, "status") if has_series and not self._has_no_series else ("status",)
         return next((model.registers[name] for name in names if name in model.registers), None)
 
+    def afresh(self) -> Identification:
+        """Begin anew with a drive that was lost; one that has answered 2BH is still asked nothing else."""
+        return Identification(self.drive, _knows_2bh=self._knows_2bh)
+
     def refused(self, work: Work) -> None:
         """Take note that the drive refuses the question."""
         if work.read is not None and work.read.registers[0].name == SERIES:

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 PER_TIMEOUT = 3  # good exchanges in one F803
 TRIES = 2  # exchanges that a drive may lose in a row before it no longer goes ahead: it may be dead
 STOPS_AHEAD = 2  # of one drive within a lead: the stop, and its repetition or its read-back
+BACKGROUND = ""  # who begins what is not due
 BROADCASTS_AHEAD = 1  # of one protocol within a lead
 
 
@@ -100,6 +101,14 @@ class Keepalive:
     def went_ahead(self, who: str, now: float) -> None:
         """Take note that a frame of a stop, or a broadcast, begins."""
         self._lately(who, now).append(now)
+
+    def lets_through(self, now: float) -> bool:
+        """Say whether a background exchange may go: nothing is due, or none of them began within the last lead."""
+        return self.due(now) is None or not self._lately(BACKGROUND, now)
+
+    def let_through(self, now: float) -> None:
+        """Take note that a background exchange begins: a poll, a probe, a command of a drive that is not due."""
+        self._lately(BACKGROUND, now).append(now)
 
     def _lately(self, who: str, now: float) -> deque[float]:
         """Return when the stops of the last lead began."""

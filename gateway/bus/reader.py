@@ -152,7 +152,7 @@ class DriveReader:
         self._control.end("the drive was lost")
         self._silent_blocks = 0
         self._pending = None
-        self._who = Identification(self.drive)
+        self._who = self._who.afresh()
         self.able = Abilities()
         self.absent.clear()
         self._refusals.clear()
@@ -196,6 +196,8 @@ class DriveReader:
         doubtful = {register.name for register in read.doubtful(words)}
         for register, word in zip(read.carries, words, strict=True):
             if register is not None and register.name not in doubtful:
+                if stranger := self._who.is_other_series(register, word):
+                    return self._stranger(stranger)
                 self.facts[register.name] = word & register.mask
         self.able = replace(self.able, only_single=self.able.only_single | doubtful)
         self._missing = [r for r in self._missing if r.name not in self.facts]

@@ -142,6 +142,11 @@ def worst_case(line: Line) -> WorstCase:
     )
 
 
+def turn(line: Line, drive: Drive) -> float:
+    """Return how long a good keepalive exchange with a drive takes at the most, in seconds."""
+    return _longest(line, drive, _reads(drive)).seconds
+
+
 def refreshes(line: Line) -> tuple[Refresh, ...]:
     """Return how the configured F803 of each drive is kept; what a drive has of itself only it can tell."""
     worst = worst_case(line)

@@ -94,6 +94,11 @@ class Schedule(Generic[Work]):
         """Drop a job."""
         self._jobs[job.drive].remove(job)
 
+    def most_urgent(self, drive: str, now: float) -> Job[Work] | None:
+        """Return the job of a drive that is due and has the earliest deadline."""
+        due = (job for job in self._jobs.get(drive, ()) if job.due <= now)
+        return min(due, key=lambda job: job.deadline, default=None)
+
     def jobs(self, drive: str) -> tuple[Job[Work], ...]:
         """Return the jobs of a drive."""
         return tuple(self._jobs.get(drive, ()))

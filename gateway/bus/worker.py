@@ -13,7 +13,7 @@ from gateway.bus.keepalive import Keepalive
 from gateway.bus.line import Line
 from gateway.bus.link import Heard, Link
 from gateway.bus.reader import DriveReader
-from gateway.bus.refresh import worst_case
+from gateway.bus.refresh import turn, unkept, worst_case
 from gateway.bus.schedule import AHEAD, Job, NotBefore, Schedule, Send
 from gateway.bus.setpoint import Setpoint
 from gateway.bus.work import Learnt, Task, Work
@@ -55,6 +55,7 @@ class _Station:
         self.trip_signs: dict[str, bool] = {}  # MODBUS-RTU: by FC90, and by the bit in FD01
         self.is_left_alone = False  # by its control, so that its own time-out acts
         self.quiet_until = float("-inf")  # nothing but identifications before: a late answer might be believed
+        self.turn = 0.0  # seconds that a keepalive exchange may take, where it is commanded
         self.processing = drive.model.times.processing + drive.wait_time
 
     def processing_of(self, request: Request) -> float:
@@ -76,10 +77,13 @@ class LineWorker:
         clock: Clock,
         opener: Opener,
         controls: Mapping[str, DriveControl] | None = None,
+        count_stored: Callable[[str, int], None] | None = None,
     ) -> None:
+        self._count_stored = count_stored
         self._line = line
         own = {drive.name: controls[drive.name] for drive in line.drives if controls and drive.name in controls}
-        self._controls = LineControls(own, Keepalive(worst_case(line).lead if own else 0.0))
+        self._worst = worst_case(line)
+        self._controls = LineControls(own, Keepalive(self._worst.lead if own else 0.0))
         self._stats = stats
         self._clock = clock
         self._opener = opener
@@ -92,6 +96,8 @@ class LineWorker:
             self._stations[drive.name] = _Station(
                 drive, images[drive.name], drive_stats[drive.name], planner, index / len(line.drives)
             )
+            if drive.name in own:
+                self._stations[drive.name].turn = turn(line, drive)
 
     @property
     def _slowest(self) -> float:
@@ -156,9 +162,10 @@ class LineWorker:
             await exchanger.exchange(broadcast.codec, broadcast.request, self._slowest)
         elif (commanded := controls.next_stop(now)) is not None:
             await self._carry(exchanger, commanded)
-        elif (due := controls.next_due(now)) is not None:
+        elif not controls.keepalive.lets_through(now) and (due := controls.next_due(now)) is not None:
             await self._keep_alive(exchanger, self._stations[due], now)
         elif (commanded := controls.next_command(now)) is not None:
+            controls.keepalive.let_through(now)
             await self._carry(exchanger, commanded)
         else:
             await self._poll(exchanger, now)
@@ -168,6 +175,7 @@ class LineWorker:
         wake = self._controls.next_time()
         match self._schedule.next(now):
             case Send(job):
+                self._controls.keepalive.let_through(now)
                 await self._exchange(exchanger, job)
             case NotBefore(when):
                 await self._alarm.wait_until(min(when, wake))
@@ -175,12 +183,16 @@ class LineWorker:
                 await self._alarm.wait_until(min(now + IDLE_WAIT, wake))
 
     async def _keep_alive(self, exchanger: Exchanger, station: _Station, now: float) -> None:
-        """Talk to a drive whose F803 would run out: about its command, else about its status."""
+        """Talk to a drive whose F803 would run out: about its command, a poll that is due, else about its status."""
         name = station.drive.name
         if (commanded := self._controls.next_of(name, now)) is not None:
             await self._carry(exchanger, commanded)
             return
         is_held = now < station.quiet_until or not station.reader.is_set_up
+        poll = None if is_held else self._schedule.most_urgent(name, now)
+        if poll is not None and station.planner.cost(poll.work.request) <= station.turn:
+            await self._exchange(exchanger, poll)
+            return
         work = station.reader.identify() if is_held else station.reader.glance()
         job = Job(name, work, None, now, AHEAD)
         self._schedule.add(job)
@@ -205,7 +217,7 @@ class LineWorker:
         """Do for a drive what its control wants: leave it alone, begin anew, or send it nothing but a stop."""
         name = station.drive.name
         if control.is_quiet and not station.is_left_alone:
-            self._begin_anew(station, control.next_time(), f"left alone: {control.reason}")
+            self._begin_anew(station, control.loss.quiet_until, f"left alone: {control.reason}")
         elif control.state.needs_set_up:
             control.state.needs_set_up = False
             self._begin_anew(station, now + station.drive.model.times.start_up, control.reason)
@@ -241,13 +253,31 @@ class LineWorker:
             if station.link.state is LinkState.OFFLINE and not self._schedule.is_probed(station.drive.name):
                 self._lost(station)
         except Refused as refused:
-            self._stats.errors["refused"] += 1
-            self._answered_command(station, self._clock.now())
-            self._trip(station, refused.is_tripped, self._clock.now())
-            control.on_refused(errand, refused)
+            self._carry_refused(station, control, errand, refused)
         else:
             self._carried(station, control, errand, answered)
-        station.stats.communication_timeout = self._controls.watch(commanded.drive)
+        self._watch(station)
+
+    def _carry_refused(self, station: _Station, control: DriveControl, errand: Errand, refused: Refused) -> None:
+        """Take a refusal of a command's frame; a wrong checksum says that it was damaged on its way."""
+        now = self._clock.now()
+        self._stats.errors["refused"] += 1
+        station.stats.refusals += 1
+        self._answered_command(station, now, is_good=False)
+        self._trip(station, refused.is_tripped, now)
+        if refused.reason in (Refusal.CHECKSUM, Refusal.OTHER):
+            control.on_silence(errand, str(refused), now)
+        else:
+            control.on_refused(errand, refused)
+
+    def _watch(self, station: _Station) -> None:
+        """Watch over a drive's F803 as it is known now, and say so where it cannot be kept on this line."""
+        timeout = self._controls.watch(station.drive.name)
+        if timeout in (0.0, station.stats.communication_timeout):
+            return
+        station.stats.communication_timeout = timeout
+        if trouble := unkept(self._line, self._worst, station.drive.name, timeout):
+            log.warning("%s: its F803 may run out when much happens at once: %s", station.drive.name, trouble)
 
     def _carried(self, station: _Station, control: DriveControl, errand: Errand, answered: Answered) -> None:
         """Take the answer to a command's frame: what was read back is seen at once."""
@@ -261,9 +291,9 @@ class LineWorker:
                 station.image.apply(pairs, answered.done, self._clock.wall())
         control.on_reply(errand, reply, answered.done)
 
-    def _answered_command(self, station: _Station, now: float) -> None:
+    def _answered_command(self, station: _Station, now: float, *, is_good: bool = True) -> None:
         """Take a sign of life: silences before it are no longer in a row; who is there, only reads can tell."""
-        self._heard(station, now)
+        self._heard(station, now, is_good=is_good)
         if station.link.state.is_connected:
             self._hear(station, Heard.REPLY)
 
@@ -282,6 +312,8 @@ class LineWorker:
         request = station.reader.request(job.work)
         if isinstance(request, WriteStored):
             station.stats.eeprom_writes[request.address] += 1
+            if self._count_stored is not None:
+                self._count_stored(job.drive, request.address)
         try:
             answered = await exchanger.exchange(station.drive.codec, request, station.processing_of(request))
         except (NoReply, BadReply) as error:
@@ -302,7 +334,7 @@ class LineWorker:
         now = self._clock.now()
         station.stats.refusals += 1
         self._stats.errors["refused"] += 1
-        self._heard(station, now)
+        self._heard(station, now, is_good=False)
         self._learn(station, job, station.reader.on_refused(job.work, sent, refused, now))
         if station.link.state.is_connected:
             self._trip(station, refused.is_tripped, now)
@@ -348,7 +380,8 @@ class LineWorker:
         """Say whether a drive's block reads carry a setpoint, or are about to."""
         return self._stations[drive].reader.is_carrying
 
-    def _heard(self, station: _Station, now: float) -> None:
+    def _heard(self, station: _Station, now: float, *, is_good: bool = True) -> None:
+        """Take note of an answer; nothing says that one with an error starts the drive's F803 anew."""
         stats = station.stats
         if stats.last_heard > 0:
             gap = now - stats.last_heard
@@ -356,7 +389,8 @@ class LineWorker:
             if stats.communication_timeout > 0:
                 stats.least_margin = min(stats.least_margin, stats.communication_timeout - gap)
         stats.last_heard = now
-        self._controls.keepalive.heard(station.drive.name, now)
+        if is_good:
+            self._controls.keepalive.heard(station.drive.name, now)
 
     def _learn(self, station: _Station, job: Job[Work], learnt: Learnt, done: float | None = None) -> None:
         """Put what an answer brought where it belongs: link, image, schedule, log."""
@@ -428,9 +462,9 @@ class LineWorker:
             level = logging.WARNING if is_trouble else logging.INFO
             log.log(level, "%s is %s%s", station.drive.name, state.word, f": {reason}" if reason else "")
         station.image.set_link(state, reason)
-        self._tell_control(station, reason)
+        self._tell_control(station, reason, is_reply=heard is Heard.REPLY)
 
-    def _tell_control(self, station: _Station, reason: str) -> None:
+    def _tell_control(self, station: _Station, reason: str, *, is_reply: bool = False) -> None:
         """Let the drive's control know whether it may be commanded, how it is set, and whether it is tripped."""
         control = self._controls.controls.get(station.drive.name)
         if control is None:
@@ -443,9 +477,9 @@ class LineWorker:
             control.on_online(facts, model.trip_signs(found), now)
         elif state in LOST:
             control.on_offline(reason, now)
-        else:
-            control.on_heard()
-        station.stats.communication_timeout = self._controls.watch(station.drive.name)
+        elif is_reply:
+            control.on_heard(now)
+        self._watch(station)
 
     def _count(self, station: _Station, error: NoReply | BadReply) -> None:
         """Count an exchange that came to nothing."""

@@ -46,6 +46,7 @@ class Door:
     controls: dict[str, DriveControl] = field(default_factory=dict)
     lines: dict[str, tuple[str, ...]] = field(default_factory=dict)
     awake: float = float("-inf")
+    _standstill: tuple[float, float] = (float("-inf"), float("-inf"))  # when the last one began and was noticed
     _known: frozenset[str] = frozenset()
     _bells: dict[str, LineBell] = field(default_factory=dict)
     _listeners: list[Listener] = field(default_factory=list)
@@ -103,8 +104,14 @@ class Door:
         self._ring(command.drive)
 
     def _stood_still(self, now: float) -> float:
-        """Return for how long the event loop had stood still when it read what it reads now; 0 where it had not."""
-        return now - self.awake if self.awake > 0 and now - self.awake > STALLED else 0.0
+        """Return since how long what is read now may have lain there, the event loop having stood still; else 0.
+
+        A standstill is remembered for a while after it is noticed: timers may run before all sockets are read.
+        """
+        if self.awake > 0 and now - self.awake > STALLED:
+            return now - self.awake
+        began, noticed = self._standstill
+        return now - began if now <= noticed + STALLED else 0.0
 
     def _refuse_unknown(self, command: Command, answer: Answer) -> None:
         if command.drive in self._known:
@@ -167,7 +174,10 @@ class Door:
 
     def pulse(self) -> None:
         """Take note that the event loop is alive, and see to what has run out even where a line is down."""
-        self.awake = self.clock.now()
+        now = self.clock.now()
+        if self.awake > 0 and now - self.awake > STALLED:
+            self._standstill = (self.awake, now)
+        self.awake = now
         for control in self.controls.values():
             control.tick(self.awake)
 

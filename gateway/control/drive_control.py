@@ -178,7 +178,7 @@ class DriveControl:
             self._take(command, now)
         elif command.verb is Verb.RELEASE:
             self._check_owner(command, now)
-            self.loss.begin(f"released by {command.source}", now)
+            self.loss.begin(f"released by {command.source}", now, "released")
         else:
             self._check_owner(command, now)
             self._check_armable()
@@ -227,9 +227,11 @@ class DriveControl:
 
     # ---- what happens to the drive
 
-    def on_heard(self) -> None:
+    def on_heard(self, now: float) -> None:
         """Take that the drive is there, whoever it is: stops may be sent."""
         self.state.is_heard = True
+        if not self.state.is_online:
+            self.loss.heard(now)
 
     def on_online(self, facts: Mapping[str, int], signs: Mapping[str, bool], now: float) -> None:
         """Take that the drive is identified and observed: how it is set, and whether it is tripped."""
@@ -302,7 +304,8 @@ class DriveControl:
 
     def next_time(self) -> float:
         """Return when `tick` or `next` has to be asked again at the latest."""
-        return min(self.loss.next_time(), self.resets.next_time())
+        waiting = self.state.queue.head.command.deadline if self.state.queue else float("inf")
+        return min(self.loss.next_time(), self.resets.next_time(), waiting)
 
     def next(self, now: float) -> Errand | None:
         """Return the next frame for this drive; None where none waits."""
@@ -312,7 +315,7 @@ class DriveControl:
             errand = self._next_of(self.state.queue.head, now)
             if errand is not None:
                 return errand
-            if self.state.queue and self.state.queue.head.is_reserving:
+            if self.state.queue and self.state.queue.head.is_to_be_counted:
                 break
         return self.loss.next_look(now) or self.resets.next_look(now)
 
@@ -321,8 +324,12 @@ class DriveControl:
         if not execution.is_begun and not self._begin(execution, now):
             return None
         if execution.is_to_be_counted:
-            self.stored.reserve(execution, now)
+            execution.look_at(now)
+            if not execution.is_over:
+                self.stored.reserve(execution, now)
             self._settle(execution)
+            if not execution.is_to_be_counted and not execution.is_over:
+                return self._next_of(execution, now)
             return None
         look = self.resets.look_before(execution, now)
         if look is not None:

@@ -116,14 +116,14 @@ class Execution:
 
     def next(self, now: float) -> Request | None:
         """Return the next frame; None when it is over, waits to be counted, or is too late."""
-        self._look_at(now)
+        self.look_at(now)
         if self.phase in (Phase.OVER, Phase.RESERVING):
             return None
         if self.phase is Phase.WRITING:
             return self.write.request
         return ReadWords(self.write.request.number, self.write.register.address)
 
-    def _look_at(self, now: float) -> None:
+    def look_at(self, now: float) -> None:
         """End it where its deadline has passed: nothing is written later."""
         if self.is_over or self.is_insistent or now <= self.command.deadline:
             return

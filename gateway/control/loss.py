@@ -36,19 +36,19 @@ class Loss:
     following: Following | None = None
     _kind: OnLoss = OnLoss.STOP
     _since: float = 0.0
-    _quiet_until: float = 0.0
+    quiet_until: float = 0.0  # the end of leaving the drive alone
     _owes_stop: bool = False  # a stop could not be verified, and F803 may not have acted
     _stop_again_at: float = 0.0
     _unowned_since: float | None = None  # the drive was found running, and nobody has the lease
 
     # ---- how it begins
 
-    def begin(self, reason: str, now: float) -> None:
+    def begin(self, reason: str, now: float, event: str = "lease_lost") -> None:
         """End the permission, and do what is configured for that."""
         state, kind = self.state, self.state.settings.on_loss
         state.lease.end()
         state.queue.clear(Reason.NOT_OWNER, reason)
-        state.tell("lease_lost", reason)
+        state.tell(event, reason)
         state.disarm(reason)
         if kind is OnLoss.HOLD or not state.may_move or state.standing is not Standing.DISARMED:
             return
@@ -70,14 +70,24 @@ class Loss:
     def found_running(self, now: float) -> None:
         """Take that a drive came that runs by command: it is stopped where that is owed, else it wants an owner."""
         state = self.state
-        owed, self._owes_stop = self._owes_stop, False
-        if owed:
-            self._do(state.settings.on_loss, "a stop was not verified before the link was lost", now)
+        if self._owes_stop:
+            self._stop_owed(now)
         elif not state.settings.is_leased or state.lease.is_held(now):
             state.may_move = True
         else:
             self._unowned_since = now
             state.tell("unowned", "it runs by command, and nobody holds the lease")
+
+    def heard(self, now: float) -> None:
+        """Stop a drive that is heard again, where that is owed: before anything is read that starts its F803 anew."""
+        if self._owes_stop and self.state.standing is Standing.DISARMED:
+            self._stop_owed(now)
+
+    def _stop_owed(self, now: float) -> None:
+        self._owes_stop = False
+        kind = self.state.settings.on_loss
+        kind = kind if kind in (OnLoss.COAST, OnLoss.EMERGENCY_STOP) else OnLoss.STOP
+        self._do(kind, "a stop was not verified before", now)
 
     def found_standing(self) -> None:
         """Take that a drive came that does not run by command."""
@@ -164,7 +174,7 @@ class Loss:
         state = self.state
         state.disarm(reason)
         state.standing, state.reason = Standing.QUIET, reason
-        self._quiet_until = now + state.timeout + QUIET_BEYOND
+        self.quiet_until = now + state.timeout + QUIET_BEYOND
         state.queue.clear(Reason.QUIESCED, reason)
         state.tell("quiesced", reason)
 
@@ -181,12 +191,11 @@ class Loss:
             self._unowned_since = None
             if state.timeout > 0 and not state.unwatched:
                 self._quiesce("it runs, and nobody holds the lease", now)
-        if state.standing is Standing.QUIET and now >= self._quiet_until:
+        if state.standing is Standing.QUIET and now >= self.quiet_until:
             state.standing = Standing.DISARMED
             state.tell("awake", state.reason)
         if self._is_stop_again and now >= self._stop_again_at:
-            self._owes_stop = False
-            self._do(state.settings.on_loss, state.reason, now)
+            self._stop_owed(now)
 
     def _look_at_stop(self, now: float) -> None:
         """End the loss when the motor was seen to stop, or leave the drive to its F803 when it was not."""
@@ -217,7 +226,7 @@ class Loss:
         if self._unowned_since is not None:
             times.append(self._unowned_since + self._grace)
         if state.standing is Standing.QUIET:
-            times.append(self._quiet_until)
+            times.append(self.quiet_until)
         if state.standing is Standing.LOST:
             times.append(self.following.due if self.following is not None else self._since + STOP_WITHIN)
         if self._is_stop_again:

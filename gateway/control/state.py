@@ -149,6 +149,11 @@ class DriveState:
         return watchdog.seconds(self.drive.model, self.facts)
 
     @property
+    def shortest_timeout(self) -> float:
+        """Return the F803 to reckon with, in seconds: a configured one may be in force before it is read back."""
+        return watchdog.shortest(self.settings, self.drive.model, self.facts)
+
+    @property
     def unwatched(self) -> str:
         """Say why the drive would go on running when nobody talks to it; "" where it would stop."""
         return watchdog.missing(self.drive.model, self.facts)

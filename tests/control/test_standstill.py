@@ -94,7 +94,9 @@ def test_after_a_standstill_longer_than_the_lease_nothing_brings_it_back(door: D
     for reason in (Reason.EXPIRED, Reason.NOT_OWNER):  # it may have lain there; a fresh one finds no lease
         result = ask(door, Verb.ARM)
         assert (result.status, result.reason) == (Status.REFUSED, reason)
-        door.pulse()
+        for _ in range(3):  # a while after the standstill was noticed
+            door.pulse()
+            stand_still(door, STALLED / 2)
 
 
 def test_a_living_event_loop_counts_heartbeats_as_they_come(door: Door) -> None:
