@@ -22,6 +22,14 @@ class ExceptionCode(IntEnum):
     GATEWAY_TARGET_FAILED_TO_RESPOND = 0x0B
 
 
+class Wrong(Exception):
+    """A request that is not carried out, and the exception that says so."""
+
+    def __init__(self, code: ExceptionCode) -> None:
+        super().__init__(code.name)
+        self.code = code
+
+
 CODE_FOR = {
     Missing.UNMAPPED: ExceptionCode.ILLEGAL_DATA_ADDRESS,
     Missing.NOT_FRESH: ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND,

@@ -6,22 +6,13 @@ from collections.abc import Mapping
 
 from gateway.control.command import Command, Result, Source
 from gateway.control.door import Door
-from gateway.modbus_tcp.codes import ExceptionCode
+from gateway.modbus_tcp.codes import ExceptionCode, Wrong
 from gateway.modbus_tcp.line_stops import Tell
 from gateway.modbus_tcp.mirror import Sheet, Sheets, Wish, Words
 from gateway.modbus_tcp.mirror_map import ENDED, NOTHING, ORDERS, REASONS, STATUSES, UNDER_WAY, Place
 
 ASKING = frozenset((Place.COMMAND, Place.FREQUENCY, Place.PARAMETER))  # the others ask for nothing by themselves
-
 SHOWN_BY_RESULT = (ExceptionCode.ACKNOWLEDGE, ExceptionCode.SERVER_DEVICE_BUSY)
-
-
-class Wrong(Exception):
-    """A request that is not carried out, and the exception that says so."""
-
-    def __init__(self, code: ExceptionCode) -> None:
-        super().__init__(code.name)
-        self.code = code
 
 
 class MirrorCommands:
@@ -76,19 +67,18 @@ class MirrorCommands:
         state, now = self._door.controls[drive].state, self._door.clock.now()
         wish = sheet.write(words, state, now)
         attempt = sheet.current
-        if wish is None and attempt is not None and not attempt.is_done:
-            if attempt.result is None:
-                raise Wrong(ExceptionCode.ACKNOWLEDGE)
-            tell(attempt.result)
-            return
+        if wish is None and attempt is not None and attempt.result is None:
+            raise Wrong(ExceptionCode.ACKNOWLEDGE)
         if wish is None and Place.COMMAND in words:
-            if sheet.has_ended(state, now):
-                raise Wrong(ExceptionCode.SERVER_DEVICE_BUSY)
-            wish = sheet.stop_again(state, now)
-        if wish is None:
-            tell(None)
-        else:
+            wish = sheet.stop_again(state, now)  # also one that was refused, or failed
+        if wish is not None:
             self._make(drive, sheet, wish, tell)
+        elif attempt is not None and not attempt.is_done:
+            tell(attempt.result)
+        elif Place.COMMAND in words and sheet.has_ended(state, now):
+            raise Wrong(ExceptionCode.SERVER_DEVICE_BUSY)
+        else:
+            tell(None)
 
     def _make(self, drive: str, sheet: Sheet, wish: Wish, tell: Tell) -> None:
         control, now = self._door.controls[drive], self._door.clock.now()

@@ -9,10 +9,10 @@ from collections.abc import Mapping
 from gateway.control.command import Result, Source
 from gateway.control.door import Door
 from gateway.image import Image, LinkState, Missing
-from gateway.modbus_tcp.codes import CODE_FOR, ExceptionCode, exception_of
+from gateway.modbus_tcp.codes import CODE_FOR, ExceptionCode, Wrong, exception_of
 from gateway.modbus_tcp.gateway_unit import NO_VALUE, REGISTERS_PER_DRIVE, VALUES, VALUES_AT, GatewayUnit
 from gateway.modbus_tcp.line_stops import LineStops, Tell
-from gateway.modbus_tcp.mirror_commands import MirrorCommands, Wrong
+from gateway.modbus_tcp.mirror_commands import MirrorCommands
 from gateway.modbus_tcp.mirror_map import (
     LINE_ORDERS,
     LINES_AT,

@@ -276,6 +276,23 @@ class TestWhatHasEnded:
         assert code(master, write(master, CODES[word], 5, 0)) == 0
         assert made.door.asked == []
 
+    @pytest.mark.hazard("H29")
+    @pytest.mark.parametrize("status", [Status.REFUSED, Status.FAILED, Status.UNKNOWN])
+    async def test_a_stop_that_did_not_succeed_is_made_again(self, status: Status) -> None:
+        """In every cycle, until the drive is stopped: a silent drive may come back running."""
+        made = owned(command=RUN_WORD)
+        master, state = made.connect(), made.door.state("d1")
+        for beat in range(3):
+            last = write(master, CODES["stop"], beat, 0)
+            assert (await made.end(status, Reason.OFFLINE)).verb is Verb.STOP
+            assert code(master, last) == 0x0B
+        write(master, CODES["stop"], 4, 0)
+        second = made.connect()
+        assert code(second, write(second, CODES["stop"], 5, 0)) == 5
+        state.facts["command"] = STOP_WORD
+        assert await asked(made) == (Verb.STOP, None)
+        assert code(master, write(master, CODES["stop"], 6, 0)) == 0
+
 
 class TestOneRegister:
     """Registers that are written alone, as by hand."""

@@ -283,6 +283,28 @@ class TestLineStops:
         states[1].facts["command"] = STOP_WORD
         assert cycle() == 0
 
+    async def test_the_same_stop_is_not_begun_anew_while_it_is_under_way(self) -> None:
+        """05, from the same host; another word, or another host's, is taken."""
+        made = Listening({}, {})
+        master, other = made.connect(), made.connect("10.0.0.8")
+        first = master.send(UNIT, struct.pack(">BHH", 6, LINES_AT, CODES["stop"]))
+        assert told(made.connect(), struct.pack(">BHH", 6, LINES_AT, CODES["stop"])) == b"\x86\x05"
+        master.send(UNIT, struct.pack(">BHH", 6, LINES_AT, CODES["emergency_stop"]))
+        other.send(UNIT, struct.pack(">BHH", 6, LINES_AT, CODES["emergency_stop"]))
+        assert [verb for _, verb, _, _ in made.door.line_stops] == [
+            Verb.STOP,
+            Verb.EMERGENCY_STOP,
+            Verb.EMERGENCY_STOP,
+        ]
+        for _, _, _, answer in made.door.line_stops:
+            for drive in ("d1", "d2"):
+                answer(Result(stop_of(drive), Status.UNKNOWN, Reason.NO_ANSWER))
+        await asyncio.sleep(0)
+        assert master.told(first) == b"\x86\x0b"
+        made.door.line_stops.clear()
+        master.send(UNIT, struct.pack(">BHH", 6, LINES_AT, CODES["emergency_stop"]))
+        assert len(made.door.line_stops) == 1
+
     async def test_a_line_that_is_down_is_0ah(self) -> None:
         """As for one drive."""
         made = Listening()
