@@ -268,6 +268,11 @@ class TestWhatHasEnded:
             write(master, CODES[word], 3, 0)
             assert await asked(made) == (Verb(word), None)
             setattr(state, key, before)
+        waiting: Any = object()  # a run command of somebody else, on its way
+        state.queue.executions.append(waiting)
+        write(master, CODES[word], 3, 0)
+        assert await asked(made) == (Verb(word), None)
+        state.queue.executions.clear()
         for held in (RUN_WORD, 0):  # it runs by command; the panel may start it
             state.facts["command"] = held
             write(master, CODES[word], 4, 0)
