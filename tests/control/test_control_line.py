@@ -224,6 +224,7 @@ def test_a_trip_disarms() -> None:
     play(script)
 
 
+@pytest.mark.hazard("H09")
 def test_a_fault_reset_is_done_when_the_drive_comes_back_untripped() -> None:
     """Sent once without an answer; the drive is observed anew, and armed anew."""
 
@@ -321,6 +322,7 @@ def test_a_stored_parameter_needs_permission_and_is_not_written_when_equal() -> 
 
 
 @pytest.mark.hazard("H07")
+@pytest.mark.hazard("H09")
 def test_a_reset_that_nobody_saw_disarms() -> None:
     """A brown-out too short for a lost link: FA87 tells, before the next run command is sent."""
 

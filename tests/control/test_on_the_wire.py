@@ -1,22 +1,29 @@
-"""What a drive is sent when permission ends, frame by frame: a read in the wrong place keeps its F803 from acting."""
+"""What drives are sent, frame by frame: when permission ends a read in the wrong place keeps F803 from acting."""
 
 from __future__ import annotations
 
 import asyncio
+from decimal import Decimal
 
 import pytest
 
-from gateway.control.command import Reason, Status, Verb
+from gateway.control.command import Command, Reason, Result, Status, Verb
+from gateway.control.door import Door
 from gateway.sim.condition import TripCode
 from gateway.sim.faults import Fault, Kind
 from gateway.sim.journal import Way
-from tests.control.test_control_line import Stage, play, started
+from tests.bus.rig import Bench
+from tests.control import test_line_stop as lines
+from tests.control.test_control_line import DASHBOARD, Stage, play, started
 
 F803, BEYOND = 1.5, 1.0  # seconds; the second is what a drive is left alone for beyond F803
 RAMP = 5.0  # seconds, more than 30 Hz to standstill take: F804 = 2 trips there
+READ = 0x03
 STOP = bytes.fromhex("01 06 FA 00")
 RUNNING = 0x6400  # FD01 of a motor that runs
-FD00, FD01 = 0xFD00, 0xFD01
+FD00, FD01, FC90 = 0xFD00, 0xFD01, 0xFC90
+TRIPPED = 1 << 3  # of FD01
+E = 0x11  # of FC90: emergency stop
 
 
 class Watched:
@@ -124,3 +131,84 @@ def test_the_eeprom_is_written_as_often_as_is_permitted_and_no_more() -> None:
     set_before = {"communication_timeout": 15, "timeout_action": 2}
     play(often, {"allow_stored": True, "stored_writes": {"burst": 2, "per_hour": 1.0}}, registers=set_before)
     play(worn, {"allow_stored": True, "stored_writes": {"burst": 10, "warn": 1, "refuse": 3}}, registers=set_before)
+
+
+@pytest.mark.hazard("H09")
+def test_a_fault_reset_is_sent_once_and_not_believed() -> None:
+    """The cause of the trip is still there: failed, by what the drive says when it is back."""
+
+    async def script(stage: Stage) -> None:
+        await started(stage)
+        drive = stage.bench.drive
+        drive.inverter.trip(TripCode.EMERGENCY)
+        drive.registers.forced.update({FC90: E, FD01: TRIPPED})
+        await stage.beat_for(1.0)
+        watched, begun = Watched(stage), asyncio.get_running_loop().time()
+        asked = asyncio.create_task(stage.ask(Verb.RESET))
+        await stage.beat_for(6.0)
+        result = await asked
+        assert (result.status, result.reason) == (Status.FAILED, Reason.STILL_TRIPPED)
+        sent = [frame for frame in watched.frames(begun, begun + 6.0) if frame.startswith(STOP)]
+        assert [frame[4:6].hex() for frame in sent] == ["e000"]  # fault reset, both priorities, no run
+
+    play(script)
+
+
+@pytest.mark.hazard("H14")
+def test_an_armed_drive_is_disarmed_when_its_line_was_lost() -> None:
+    """It stands still and has not tripped: still nobody knows what was done to it meanwhile."""
+
+    async def script(stage: Stage) -> None:
+        assert (await stage.ask(Verb.TAKE)).status is Status.DONE
+        assert (await stage.ask(Verb.ARM)).status is Status.DONE
+        stage.bench.unplug()
+        await stage.beat_for(1.0)
+        stage.bench.is_plugged = True
+        await stage.beat_for(5.0)
+        result = await stage.ask(Verb.RUN, value="10")
+        assert (result.status, result.reason) == (Status.REFUSED, Reason.NOT_ARMED)
+        assert result.text.startswith("disarmed: the link was lost")
+        assert stage.bench.drive.inverter.condition.trip_code == TripCode.NONE
+
+    play(script)
+
+
+@pytest.mark.hazard("H22")
+def test_nothing_of_a_write_is_sent_where_any_part_of_it_is_refused() -> None:
+    """The frequency would have been permitted, and goes first; the command word behind it is not."""
+    right = {"source": "mqtt", "commands": ["take", "words"], "registers": ["frequency_command"]}
+
+    async def script(stage: Stage) -> None:
+        assert (await stage.ask(Verb.TAKE)).status is Status.DONE
+        watched, begun = Watched(stage), asyncio.get_running_loop().time()
+        result = await stage.ask(Verb.WORDS, address=0xFA00, words=(0x8000, 3000))
+        assert (result.status, result.reason) == (Status.REFUSED, Reason.NOT_PERMITTED)
+        await asyncio.sleep(1.0)
+        assert not [frame for frame in watched.frames(begun, begun + 1.0) if frame[1] != READ]
+        assert (await stage.ask(Verb.WORDS, address=0xFA01, words=(3000,))).status is Status.DONE
+
+    play(script, {"right": [right]})
+
+
+@pytest.mark.hazard("H29")
+@pytest.mark.hazard("H10")
+def test_a_stop_waits_for_one_exchange_at_the_most() -> None:
+    """Every drive of the line has commands that wait, and polls; the stop of the last one is the next frame."""
+
+    async def script(made: Bench, door: Door) -> None:
+        now, results = asyncio.get_running_loop().time(), list[Result]()
+        for place in range(8):
+            for name in ("d1", "d2", "d3"):
+                word = Decimal(place % 2)
+                door.submit(Command(name, Verb.TERMINALS, DASHBOARD, now, now + 5.0, value=word), results.append)
+        await asyncio.sleep(0.1)
+        asked = asyncio.get_running_loop().time()
+        door.submit(Command("d3", Verb.STOP, lines.PLC, asked, asked + 1.0), results.append)
+        await asyncio.sleep(1.0)
+        sent = [e.data for e in made.wire.journal.last(5000) if e.way is Way.REQUEST and e.begin >= asked]
+        assert sent[0][:4] == bytes.fromhex("03 06 FA 00")
+        ended = [r for r in results if r.command.drive == "d3" and r.command.verb is Verb.TERMINALS]
+        assert {r.reason for r in ended if r.status is Status.REFUSED} == {Reason.STOPPED}
+        assert len(ended) == 8
+
+    lines.play(script)
