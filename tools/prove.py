@@ -20,7 +20,7 @@ from pathlib import Path
 from tools import marks, rules
 from tools.locks import ROOT
 from tools.marks import MarkedTest
-from tools.rules import Proof, Removal
+from tools.rules import Proof, Removal, WrongRule
 
 LEFT_OUT = (".git", ".venv", "*_cache", "__pycache__", ".hypothesis", "build", "dist", "htmlcov", ".coverage*")
 LIMIT = 150.0  # seconds for the tests of one hazard
@@ -120,6 +120,10 @@ class Prover:
         tests = tuple(tests_of(removal, self._found))
         if not tests:
             return "there is no test"
+        try:
+            removal.applied((self._copy.root / removal.file).read_text(encoding="utf-8"))
+        except WrongRule as error:
+            return str(error)
         if tests not in self._as_it_is:
             self._as_it_is[tests] = self._copy.run(tests)
         before = self._as_it_is[tests]
