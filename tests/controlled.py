@@ -21,6 +21,7 @@ from tests.test_end_to_end import LIMIT, gateway, until
 LEASE = 1.0  # seconds
 F803 = 3.0  # seconds
 MARGIN = 0.15  # seconds by which a busy machine may be late with the drive's answers
+COMMAND_TIMEOUT = 1.0  # seconds
 POLL = 0.1  # seconds between two reads of the drive
 BEAT = 0.1  # seconds between two heartbeats
 DRIVE: dict[str, Any] = {
@@ -33,6 +34,7 @@ CONTROL = f"""control = "leased"
 lease = "{LEASE}s"
 communication_timeout = "{F803}s"
 timeout_action = "stop"
+command_timeout = "{COMMAND_TIMEOUT}s"
 frequency = {{ min = 0.0, max = 60.0 }}
 """
 ROOT = "tosvert/hall-3/pump-1"
@@ -119,14 +121,31 @@ class Stage:
         self.do("take", "arm", json.dumps({"command": "run", "frequency": hertz}))
         until(lambda: self.drive["frequency"] == hertz, f"{hertz} Hz")
 
-    def events(self) -> list[dict[str, Any]]:
-        """Return what was published of events."""
+    def send(self, command: str) -> None:
+        """Send a command by mosquitto_pub, and wait for nothing."""
+        subprocess.run(
+            ["mosquitto_pub", "-h", "127.0.0.1", "-p", str(self.broker.port), "-q", "1", "-t", f"{ROOT}/command",
+             "-m", command],
+            check=True,
+        )  # fmt: skip
+
+    def published(self, level: str) -> list[dict[str, Any]]:
+        """Return what was published of events or results."""
         lines = self.told.read_text(encoding="utf-8").splitlines()
-        return [json.loads(line.split(" ", 1)[1]) for line in lines if line.startswith(f"{ROOT}/event ")]
+        return [json.loads(line.split(" ", 1)[1]) for line in lines if line.startswith(f"{ROOT}/{level} ")]
 
     def until_event(self, name: str) -> dict[str, Any]:
         """Wait for an event."""
-        found: dict[str, Any] = until(lambda: next((e for e in self.events() if e["event"] == name), None), name)
+        found: dict[str, Any] = until(
+            lambda: next((event for event in self.published("event") if event["event"] == name), None), name
+        )
+        return found
+
+    def until_result(self, known: str) -> dict[str, Any]:
+        """Wait for the result of the command with that id."""
+        found: dict[str, Any] = until(
+            lambda: next((result for result in self.published("result") if result["id"] == known), None), known
+        )
         return found
 
     def is_online(self) -> bool:

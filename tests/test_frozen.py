@@ -16,7 +16,7 @@ import pytest
 
 from gateway.sim.condition import TripCode
 from gateway.sim.process import SimulatedLine
-from tests.controlled import BEAT, CONTROL, F803, LEASE, POLL, Heartbeat, Stage, plant, staged
+from tests.controlled import BEAT, COMMAND_TIMEOUT, CONTROL, F803, LEASE, POLL, Heartbeat, Stage, plant, staged
 from tests.mosquitto import Mosquitto
 from tests.test_end_to_end import LIMIT, until
 
@@ -106,6 +106,30 @@ def test_heartbeats_that_lay_in_the_socket_of_a_frozen_gateway_keep_nothing_runn
     tell("SIGCONT to the stop on the line", first - thawed, 0.0, EXCHANGES + BUSY)
     stage.until_event("lease_lost")
     assert stage.drive["trip_code"] == 0
+
+
+@pytest.mark.hazard("H23")
+@pytest.mark.hazard("H11")
+def test_commands_that_lay_in_the_socket_of_a_frozen_gateway_are_not_carried_out(
+    parts: tuple[SimulatedLine, Mosquitto], tmp_path: Path
+) -> None:
+    """They are older than a command may be: each is refused as expired; the lease holds, and new ones are done."""
+    line, broker = parts
+    line.do({"do": "power_cycle", "drive": 1})
+    control = CONTROL.replace(f'lease = "{LEASE}s"', 'lease = "10s"')
+    with staged(line, broker, tmp_path, control) as stage:
+        stage.run_motor(30.0)
+        stage.process.send_signal(signal.SIGSTOP)
+        for number in range(4):
+            stage.send(json.dumps({"command": "acceleration", "number": 1 + number % 2, "id": f"old {number}"}))
+        time.sleep(COMMAND_TIMEOUT + BUSY)  # real time must pass while the gateway stands still
+        thawed = stage.now
+        stage.process.send_signal(signal.SIGCONT)
+        old = [stage.until_result(f"old {number}") for number in range(4)]
+        assert [(result["status"], result["reason"]) for result in old] == [("refused", "expired")] * 4
+        assert not [frame for _, frame in stage.requests(thawed) if frame.startswith(FA00)]
+        time.sleep(BUSY)  # a standstill is remembered for a while, until every socket has been read
+        stage.do(json.dumps({"command": "acceleration", "number": 2}))
 
 
 @pytest.mark.hazard("H05")
