@@ -103,6 +103,10 @@ class Door:
             control.submit(command, self._answering(answer), now)
         self._ring(command.drive)
 
+    def since(self, now: float) -> float:
+        """Return since when what is read now may have lain in its socket; `now` where nothing stood still."""
+        return now - self._stood_still(now)
+
     def _stood_still(self, now: float) -> float:
         """Return since how long what is read now may have lain there, the event loop having stood still; else 0.
 
@@ -129,18 +133,18 @@ class Door:
 
         return told
 
-    def stop_line(self, line: str, verb: Verb, source: Source, answer: Answer) -> None:
+    def stop_line(self, line: str, verb: Verb, source: Source, answer: Answer, number: str = "") -> None:
         """Stop every controlled drive of a line; an emergency stop goes out as one broadcast first, where it may.
 
         It may where the source may stop every drive of the line: a broadcast reaches them all. Each drive is then
-        read back by itself; `answer` gets one result a drive.
+        read back by itself; `answer` gets one result a drive, with the id `number`.
         """
         now = self.clock.now()
         names = self.lines.get(line, ())
         until = now + LINE_STOP_WITHIN
-        commands = [Command(name, verb, source, now, until) for name in names if name in self.controls]
+        commands = [Command(name, verb, source, now, until, id=number) for name in names if name in self.controls]
         if not commands:
-            self._refuse_unknown(Command(line, verb, source, now, now), answer)
+            self._refuse_unknown(Command(line, verb, source, now, now, id=number), answer)
             return
         is_announced = verb is Verb.EMERGENCY_STOP and self._announce(names, source)
         for command in commands:
@@ -170,7 +174,7 @@ class Door:
             return
         now = self.clock.now()
         control.tick(now)
-        control.beat(source, beat, now - self._stood_still(now))
+        control.beat(source, beat, self.since(now))
 
     def pulse(self) -> None:
         """Take note that the event loop is alive, and see to what has run out even where a line is down."""

@@ -134,7 +134,8 @@ class DriveControl:
         else:
             self._check_owner(command, now)
             self._check_state(plan)
-        state.queue.put(Execution(command, plan.writes, answer, is_stop=plan.is_stop))
+        if not state.queue.joins(command, answer):
+            state.queue.put(Execution(command, plan.writes, answer, is_stop=plan.is_stop))
         if command.source == self.lease.owner:
             self.lease.renew(now)
 
@@ -407,3 +408,4 @@ class DriveControl:
             self.state.queue.remove(execution)
         if execution.has_stopped and execution.writes[0].register.name != FREQUENCY:
             self.state.may_move = False
+            self.loss.stopped()

@@ -51,6 +51,7 @@ class Execution:
     before: dict[str, int] = field(default_factory=dict)
     read_back: dict[str, int] = field(default_factory=dict)
     status: Status | None = None
+    joined: list[tuple[Command, Answer]] = field(default_factory=list)  # equal stops that came meanwhile
     _place: int = 0
     _silent: str = ""
     _silences: int = 0
@@ -236,4 +237,5 @@ class Execution:
             return
         self.phase, self.status = Phase.OVER, status
         raw = {write.register.name: write.word for write in self.writes} if self.was_sent or self.is_stop else {}
-        self.answer(Result(self.command, status, reason, text, raw, dict(self.read_back), dict(self.before)))
+        for command, answer in [(self.command, self.answer), *self.joined]:
+            answer(Result(command, status, reason, text, raw, dict(self.read_back), dict(self.before)))

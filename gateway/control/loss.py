@@ -134,6 +134,12 @@ class Loss:
         if self._kind is OnLoss.FREQUENCY:
             self._settle()
         else:
+            self.stopped()
+
+    def stopped(self) -> None:
+        """Take that a stop, whoever's, was read back: its motor has to be seen to follow."""
+        state = self.state
+        if state.standing is Standing.LOST and self.following is None:
             self.following = Following(state.drive.model, self._since)
             self.following.is_seen |= state.is_tripped is True
 

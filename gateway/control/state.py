@@ -12,7 +12,7 @@ from enum import Enum
 
 from gateway.control import watchdog
 from gateway.control.admission import EXECUTIVE, SETPOINTS, Admission, NotAdmitted
-from gateway.control.command import GATEWAY, Command, Reason, Source, Status, Verb
+from gateway.control.command import GATEWAY, Answer, Command, Reason, Source, Status, Verb
 from gateway.control.composing import COMMAND, runs
 from gateway.control.execution import Execution
 from gateway.control.lease import Lease
@@ -85,6 +85,15 @@ class Queue:
         if len(self.executions) >= WAITING:
             raise NotAdmitted(Reason.BUSY, f"{WAITING} commands wait for this drive already")
         self.executions.append(execution)
+
+    def joins(self, command: Command, answer: Answer) -> bool:
+        """Let an equal stop share the one that is under way: a flood of stops must not begin it again and again."""
+        if not (command.verb.is_stopping and self.has_stop and self.head.command.verb is command.verb):
+            return False
+        if len(self.head.joined) >= WAITING:
+            raise NotAdmitted(Reason.BUSY, f"{WAITING} equal stops wait for this drive already; it is being stopped")
+        self.head.joined.append((command, answer))
+        return True
 
     def _supersede(self, command: Command) -> None:
         for execution in [e for e in self.executions if e.command.verb is command.verb and not e.is_begun]:

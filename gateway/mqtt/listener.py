@@ -13,7 +13,7 @@ from typing import Protocol
 from gateway.clock import Clock
 from gateway.config import MqttSection
 from gateway.control.command import Command, Reason, Result
-from gateway.control.door import STALLED, Door
+from gateway.control.door import Door
 from gateway.control.results import Results
 from gateway.metrics import MqttStats
 from gateway.mqtt import commands, outcome
@@ -111,8 +111,7 @@ class Listener:
 
     def _since(self) -> float:
         """Return since when a message may have been there: since before the event loop stood still, if it did."""
-        now, awake = self._clock.now(), self._door.awake
-        return awake if 0 < awake < now - STALLED else now
+        return self._door.since(self._clock.now())
 
     def _take(self, waiting: Waiting) -> None:
         """Hand a stop on at once, and let anything else wait for its turn."""
@@ -157,7 +156,7 @@ class Listener:
         for drive in self._door.lines.get(line, ()):
             self._hand_over_all(drive)
         command = waiting.command
-        self._door.stop_line(line, command.verb, command.source, waiting.answer)
+        self._door.stop_line(line, command.verb, command.source, waiting.answer, command.id)
 
     def _hand_over_all(self, drive: str) -> None:
         """Hand on what waits for a drive, so that the door can end it in favour of a stop (SAFETY.md H10)."""

@@ -370,3 +370,18 @@ def test_raw_words_without_motion_are_a_stop() -> None:
         assert result.reason is Reason.NOT_OWNER
 
     play(script)
+
+
+@pytest.mark.hazard("H24", "H29")
+def test_a_flood_of_equal_stops_is_one_stop() -> None:
+    """Each gets its result; the drive is stopped once, and not again and again from the beginning."""
+
+    async def script(stage: Stage) -> None:
+        await started(stage)
+        asked = [asyncio.create_task(stage.ask(Verb.STOP, source)) for source in (DASHBOARD, PLC) * 8]
+        results = await asyncio.gather(*asked)
+        assert {result.status for result in results} == {Status.DONE}
+        assert {str(result.command.source) for result in results} == {str(DASHBOARD), str(PLC)}
+        assert not stage.bench.drive.inverter.operation.is_running
+
+    play(script)

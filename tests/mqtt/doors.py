@@ -89,12 +89,12 @@ class KeptDoor(Door):
         self.beats.append((drive, source, beat))
         self._news.set()
 
-    def stop_line(self, line: str, verb: Verb, source: Source, answer: Answer) -> None:
+    def stop_line(self, line: str, verb: Verb, source: Source, answer: Answer, number: str = "") -> None:
         """Keep a stop of a line, and say of each of its drives that it is done."""
         self.stopped_lines.append((line, verb, source))
         now = self.clock.now()
         for drive in self.lines.get(line, ()):
-            self._end(Command(drive, verb, source, now, now), answer)
+            self._end(Command(drive, verb, source, now, now, id=number), answer)
         self._news.set()
 
     async def until(self, condition: Callable[[], bool]) -> None:
