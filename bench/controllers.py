@@ -27,15 +27,20 @@ GATEWAY_UNIT = 255
 WRITE_SINGLE = 6
 REQUEST = struct.Struct(">HHHBBHH")  # MBAP header, function, register, word; the answer is the same
 EXCEPTION_SIZE = 9  # bytes
+HEARD = ("command", "result")  # levels of the topics of a drive
 IDS = itertools.count(1)  # an id that another controller has used would be taken for a repetition
 CODES = {order.word: code for code, order in ORDERS.items()}
 
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """One command: when it was sent and when its result was there, in monotonic seconds; what the result was."""
+    """One command, in monotonic seconds, and what its result was.
+
+    When it was sent; when whoever listens beside the gateway had it, by MQTT; when its result was there.
+    """
 
     sent: float
+    known: float
     told: float
     result: str
 
@@ -58,15 +63,15 @@ class Controller(Protocol):
 
 
 class MqttController:
-    """Publishes commands with an id (QoS 1), and waits for the result of that id."""
+    """Publishes commands with an id (QoS 1), and waits for the result of that id; it hears its own commands, too."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
-        self._result: tuple[float, dict[str, Any]] | None = None
+        self._heard: dict[str, tuple[float, dict[str, Any]]] = {}
         client.on_message = self._on_message
 
     def _on_message(self, _client: Any, _data: Any, message: Any) -> None:
-        self._result = time.monotonic(), json.loads(message.payload)
+        self._heard[message.topic.rpartition("/")[2]] = time.monotonic(), json.loads(message.payload)
 
     def set_frequency(self, number: int, hundredths: int) -> Asked:
         """Publish the frequency."""
@@ -81,16 +86,16 @@ class MqttController:
         return self._ask(number, {"command": command})
 
     def _ask(self, number: int, document: dict[str, Any]) -> Asked:
-        known = f"bench-{next(IDS)}"
-        topic, payload = f"{ROOT}/{drive_name(number)}/command", json.dumps(document | {"id": known})
+        name = f"bench-{next(IDS)}"
+        topic, payload = f"{ROOT}/{drive_name(number)}/command", json.dumps(document | {"id": name})
         sent = time.monotonic()
         self._client.publish(topic, payload, qos=1)
         while (now := time.monotonic()) < sent + ANSWER_WITHIN:
             self._client.loop(sent + ANSWER_WITHIN - now)
-            if self._result is not None and self._result[1]["id"] == known:
-                told, result = self._result
+            if all(level in self._heard and self._heard[level][1]["id"] == name for level in HEARD):
+                (known, _), (told, result) = (self._heard[level] for level in HEARD)
                 status = result["status"]
-                return Asked(sent, told, status if status == DONE else f"{status} ({result['reason']})")
+                return Asked(sent, known, told, status if status == DONE else f"{status} ({result['reason']})")
         raise SystemExit(f"no result of {payload} for {topic} within {ANSWER_WITHIN:g} s")
 
 
@@ -121,7 +126,7 @@ class UnitController:
                 raise SystemExit(f"closed by the gateway, after {request.hex(' ')} and {answer.hex(' ')}")
             answer += more
         told = time.monotonic()
-        return Asked(sent, told, DONE if answer == request else f"answer {answer.hex(' ')}")
+        return Asked(sent, sent, told, DONE if answer == request else f"answer {answer.hex(' ')}")
 
 
 class MirrorController(UnitController):
@@ -151,7 +156,7 @@ def by_mqtt(ports: Ports) -> Iterator[MqttController]:
 
     client.on_subscribe = on_subscribe
     client.connect("127.0.0.1", ports.broker)
-    client.subscribe(f"{ROOT}/+/result", qos=0)
+    client.subscribe([(f"{ROOT}/+/{level}", 0) for level in HEARD])
     end = time.monotonic() + ANSWER_WITHIN
     while not is_subscribed:
         if time.monotonic() > end:

@@ -16,7 +16,7 @@ from typing import Any
 from gateway.sim.process import SimulatedLine
 
 KEPT = 10_000  # entries of the journal
-KNOWN_WITHIN = 0.0005  # seconds from a command's sending to the gateway: kernel, broker and event loop
+KNOWN_WITHIN = 0.0005  # seconds for the gateway to read a command: kernel and event loop
 BRACKETS = 30  # events by which the line's clock is found; together they leave some 20 microseconds of doubt
 HARMLESS = {"do": "force", "register": "status"}  # an event that changes nothing: what is true is read anyway
 
@@ -78,17 +78,18 @@ def read(line: SimulatedLine, since: float = 0.0) -> list[Exchange]:
     return [exchange for exchange in exchanges(entries, opened(line)) if exchange.begin >= since]
 
 
-def wait(sent: float, first: bytes, found: Sequence[Exchange], gap: float) -> Wait | None:
+def wait(sent: float, known: float, first: bytes, found: Sequence[Exchange], gap: float) -> Wait | None:
     """Return how the command came to the line whose frame begins with these bytes; None where it never did.
 
-    In flight is what began before the command was sent, or so soon after it that nobody could know of it yet.
+    `known` is when the broker had told it, or when it was sent. In flight is what began before that, or so soon after
+    it that the gateway could not know of it yet.
     """
     place = bisect_left(found, sent, key=_begin)
     behind = next((i for i in range(place, len(found)) if found[i].request.startswith(first)), None)
     if behind is None:
         return None
     begin = found[behind].begin
-    in_flight = found[: min(behind, bisect_left(found, sent + KNOWN_WITHIN, key=_begin))]
+    in_flight = found[: min(behind, bisect_left(found, known + KNOWN_WITHIN, key=_begin))]
     free = max([sent, *(exchange.end + gap for exchange in in_flight[-1:])])
     slipped_in = tuple(exchange.begin - sent for exchange in found[place:behind])
     return Wait(begin, begin - sent, begin - free, slipped_in)

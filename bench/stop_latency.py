@@ -77,7 +77,7 @@ def measure(way: str, line: SimulatedLine, by: Sides, alive: Sequence[int], dead
     lateness = line.stats()["lateness_p99"]
     exchanges = line_journal.read(line, since=stops[0][1].sent - BEFORE)
     done = [(number, one) for number, one in stops if one.is_done]
-    waits = [line_journal.wait(one.sent, frame(number), exchanges, 0.0) for number, one in done]
+    waits = [line_journal.wait(one.sent, one.known, frame(number), exchanges, 0.0) for number, one in done]
     return Row(
         way,
         dead,

@@ -41,7 +41,7 @@ def test_an_answer_belongs_to_the_request_before_it() -> None:
 def test_a_command_is_not_blamed_for_the_exchange_in_flight() -> None:
     """Sent at 10 ms; the line is free at 22 ms; its frame begins at 22.5 ms."""
     found = [poll(0.0, 0.020), Exchange(0.0225, 0.030, COMMAND)]
-    wait = line_journal.wait(0.010, COMMAND, found, GAP)
+    wait = line_journal.wait(0.010, 0.010, COMMAND, found, GAP)
     assert wait is not None
     assert wait.whole == pytest.approx(0.0125)
     assert wait.beyond == pytest.approx(0.0005)
@@ -51,7 +51,7 @@ def test_a_command_is_not_blamed_for_the_exchange_in_flight() -> None:
 def test_on_a_quiet_line_all_of_the_wait_counts() -> None:
     """The last exchange is long over."""
     found = [poll(0.0, 0.020), Exchange(0.503, 0.510, COMMAND)]
-    wait = line_journal.wait(0.5, COMMAND, found, GAP)
+    wait = line_journal.wait(0.5, 0.5, COMMAND, found, GAP)
     assert wait is not None
     assert wait.beyond == pytest.approx(0.003)
 
@@ -59,18 +59,23 @@ def test_on_a_quiet_line_all_of_the_wait_counts() -> None:
 def test_a_poll_that_begins_after_a_command_is_excused_only_at_once() -> None:
     """A third of a millisecond later nobody could know of it; after one and a half all of the poll counts."""
     excused, blamed = (waited_behind_a_poll(after) for after in (0.0003, 0.0015))
+    slow_broker = waited_behind_a_poll(0.0015, told=0.0012)
+    assert slow_broker.beyond == pytest.approx(0.0005)
     assert excused.slipped_in == pytest.approx((0.0003,))
     assert excused.beyond == pytest.approx(0.0005)
     assert blamed.slipped_in == pytest.approx((0.0015,))
     assert blamed.beyond == blamed.whole == pytest.approx(0.0015 + 0.020 + GAP + 0.0005)
 
 
-def waited_behind_a_poll(after: float) -> Wait:
-    """Send a command when the line is free; a poll begins so long after it, and the command's frame behind that."""
+def waited_behind_a_poll(after: float, told: float = 0.0) -> Wait:
+    """Send a command when the line is free; a poll begins so long after it, and the command's frame behind that.
+
+    The broker tells the command after `told` seconds.
+    """
     sent = 1.0
     second = poll(sent + after, sent + after + 0.020)
     frame = Exchange(second.end + GAP + 0.0005, second.end + 0.01, COMMAND)
-    wait = line_journal.wait(sent, COMMAND, [poll(0.9, 0.995), second, frame], GAP)
+    wait = line_journal.wait(sent, sent + told, COMMAND, [poll(0.9, 0.995), second, frame], GAP)
     assert wait is not None
     return wait
 
@@ -78,7 +83,7 @@ def waited_behind_a_poll(after: float) -> Wait:
 def test_an_earlier_frame_of_the_same_form_is_not_the_commands() -> None:
     """A stop's frame looks the same each time; a command that never came has no wait."""
     found = [Exchange(0.0, 0.01, COMMAND), poll(0.012, 0.03)]
-    assert line_journal.wait(0.005, COMMAND, found, GAP) is None
+    assert line_journal.wait(0.005, 0.005, COMMAND, found, GAP) is None
 
 
 def test_how_late_the_master_was_is_told_for_requests_behind_answers() -> None:
