@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,8 @@ from gateway.errors import BadConfig
 from gateway.protocol.pdu import ReadBlock
 from gateway.protocol.registry import PROTOCOLS
 from gateway.site import Drive, Line, PollGroup, Site
+
+log = logging.getLogger("gateway")
 
 FULL = 1.0  # share of the line
 
@@ -49,15 +52,25 @@ def plan_drive(drive: Drive, line: Line, *, with_selectors: bool) -> DrivePlan:
 
 
 def load(path: Path) -> Site:
-    """Read a configuration file to run it; BadConfig for all that `site.load` and `refuse` find wrong."""
+    """Read a configuration file to run it; BadConfig for what `site.load` finds wrong, and for contradictions."""
     configured = site.load(path)
-    refuse(configured, path)
+    _refuse(refresh.refusals(configured), path)
     return configured
 
 
 def refuse(configured: Site, path: Path) -> None:
-    """Raise BadConfig with the arithmetic where a communication time-out cannot be kept (SAFETY.md H06, H30)."""
-    if refusals := refresh.refusals(configured):
+    """Raise BadConfig where a communication time-out contradicts itself, or cannot be kept (SAFETY.md H06, H30)."""
+    _refuse([*refresh.refusals(configured), *refresh.too_short(configured)], path)
+
+
+def warn(configured: Site, path: Path) -> None:
+    """Log what `refuse` would say of communication time-outs that cannot be kept: a plant is run with them."""
+    for text in refresh.too_short(configured):
+        log.warning("%s: %s", path, text)
+
+
+def _refuse(refusals: Sequence[str], path: Path) -> None:
+    if refusals:
         raise BadConfig("\n".join(f"{path}: {refusal}" for refusal in refusals))
 
 

@@ -105,6 +105,7 @@ async def _run(configured: site.Site, file: Path) -> None:
     logs.watch_loop(asyncio.get_running_loop())
     successor: site.Site | None = configured
     while successor is not None:
+        check.warn(successor, file)
         gateway = App(successor, load=lambda: check.load(file))
         await gateway.run()
         successor = gateway.successor

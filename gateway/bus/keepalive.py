@@ -1,16 +1,20 @@
 """Which drive has to be talked to now, so that its communication time-out F803 does not run out (SAFETY.md H06, H30).
 
 A keepalive is no task but a deadline: every good exchange pushes it on by a third of F803. Where polls and commands
-keep ahead of it, nothing is ever due here. `lead` is how long a good exchange may take to be had when everything
-happens at once (`refresh.worst_case`): a drive falls due that long before its deadline, and then goes first.
+keep ahead of it, nothing is ever due here. `lead` is how long a good exchange may take to be had when much happens
+at once (`refresh.worst_case`): a drive falls due that long before its deadline, and then goes first.
 
-    due(now)        the drive whose exchange is to begin now: any read, or a command that waits for it anyway
+    due(now)        the drive whose exchange is to begin now: a short read, or a command that waits for it anyway
     heard, missed   what came of each exchange with any drive, whoever asked for it
     goes_ahead      whether a stop may go before what is due; `went_ahead` after each frame of a stop, and broadcast
+    lets_through    whether anything else may; `let_through` before each exchange that is neither stop nor keepalive
 
-Why it holds: with at most one background exchange under way when a drive falls due, with two exchanges for each
-armed drive whose deadline is earlier (none has two such deadlines within one lead), with `STOPS_AHEAD` for each
-drive that is stopped, its own two exchanges end within the lead. The reckoning adds up just these.
+Premise: within one lead at most ONE exchange of the line is lost beside the one that is under way: a frame spoilt by
+noise, or a neighbour that has just died. One drive is stopped by itself; whoever stops all has the broadcast.
+
+Why it holds: of what is let through, one exchange at most is under way when a drive falls due, or begins until its
+turn. No other drive has two deadlines within one lead, so each has one turn before it. One turn may be lost, one stop
+and the broadcasts go ahead. Then its own turn ends within the lead: the reckoning adds up just these.
 """
 
 from __future__ import annotations
@@ -20,8 +24,7 @@ from dataclasses import dataclass, field
 
 PER_TIMEOUT = 3  # good exchanges in one F803
 TRIES = 2  # exchanges that a drive may lose in a row before it no longer goes ahead: it may be dead
-STOPS_AHEAD = 2  # of one drive within a lead: the stop, and its repetition or its read-back
-BACKGROUND = ""  # who begins what is not due
+STOPS_AHEAD = 1  # of one drive within a lead: the stop itself; read-back and repetitions take their turn
 BROADCASTS_AHEAD = 1  # of one protocol within a lead
 
 
@@ -34,6 +37,7 @@ class Keepalive:
     _heard: dict[str, float] = field(default_factory=dict)
     _missed: dict[str, int] = field(default_factory=dict)
     _ahead: dict[str, deque[float]] = field(default_factory=dict)
+    _let_through: float = float("-inf")
 
     def arm(self, drive: str, timeout: float) -> None:
         """Watch over a drive whose F803 is that many seconds, from its last good exchange on; 0 disarms it."""
@@ -103,12 +107,15 @@ class Keepalive:
         self._lately(who, now).append(now)
 
     def lets_through(self, now: float) -> bool:
-        """Say whether a background exchange may go: nothing is due, or none of them began within the last lead."""
-        return self.due(now) is None or not self._lately(BACKGROUND, now)
+        """Say whether a poll, a probe or any command may begin: nothing is due, or none began within the last lead.
+
+        So drives that are due without end leave the others one exchange in each lead.
+        """
+        return self.due(now) is None or self._let_through + self.lead <= now
 
     def let_through(self, now: float) -> None:
-        """Take note that a background exchange begins: a poll, a probe, a command of a drive that is not due."""
-        self._lately(BACKGROUND, now).append(now)
+        """Take note that such an exchange begins, whether anything is due or not."""
+        self._let_through = now
 
     def _lately(self, who: str, now: float) -> deque[float]:
         """Return when the stops of the last lead began."""

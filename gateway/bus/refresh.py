@@ -1,17 +1,21 @@
-"""How long a good exchange with a drive may take to be had when everything happens at once, against its F803.
+"""How long a good exchange with a drive may take to be had when much happens at once, against its F803.
 
 The reckoning that `keepalive` relies on, made before anything runs (SAFETY.md H06, H30). All times are in seconds.
-One exchange takes at most: the gap before it, the request, the gap and the drive's processing, the line's margin,
-the longest answer, the silence that is awaited behind a late or damaged one, and the gateway's own time.
+
+An exchange takes at most: the gap before it, the request, the gap and the drive's processing, the line's margin, the
+longest answer, the silence that is awaited behind a late or damaged one, and the gateway's own time. A good turn is
+an exchange that keeps a drive and is answered in time: without the margin, and with two gaps.
+
+Premise: within one lead at most one exchange of the line is lost beside the one that is under way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, Decimal
 
-from gateway.bus.keepalive import BROADCASTS_AHEAD, PER_TIMEOUT, STOPS_AHEAD, TRIES
+from gateway.bus.keepalive import BROADCASTS_AHEAD, PER_TIMEOUT, STOPS_AHEAD
 from gateway.control.composing import COMMAND
 from gateway.control.watchdog import contradictions
 from gateway.protocol.codec import Answering, Codec, NoSuchForm
@@ -27,7 +31,6 @@ from gateway.protocol.pdu import (
 from gateway.site import Drive, Line, Site
 
 OWN_TIME = 0.003  # of the gateway for each exchange: waits in whole milliseconds, decoding, publishing
-KEEPALIVE_SHARE = 0.8  # of the line at the most, while nothing goes wrong
 GAPS = 4  # before the request, behind it, and two of silence behind an answer that was late or damaged
 LONGEST_TIMEOUT = Decimal(100)  # of F803 (E6581657 6.3)
 MANY = 4  # drives that are counted, not named
@@ -52,37 +55,30 @@ class Longest:
 class WorstCase:
     """What a good exchange with a drive of one line may have to wait for, at the worst and all at once.
 
-    `blocking` is the exchange under way, whatever it is. `turns` are the keepalives of the controlled drives, reads
-    or frames of their commands, lost once and repeated. `stops` are what stopping each of them takes ahead of that,
-    `broadcasts` the emergency stops that are told to all. `room` is by how much an interval has to be longer than
-    all that, so that keepalives leave a fifth of the line to everything else while nothing goes wrong.
+    `blocking` is the exchange under way, whatever it is. `lost` is the longest keepalive that comes to nothing.
+    `turns` are the keepalives of the controlled drives that are answered: reads, or frames of their commands.
+    `broadcasts` are the emergency stops that are told to all.
     """
 
     blocking: Longest
+    lost: Longest
     turns: Mapping[str, float]
-    stops: Mapping[str, float]
     broadcasts: float
-    room: float = 0.0
 
     @property
     def stopping(self) -> float:
-        """Return what stopping every drive but one takes: a drive's own stop is an exchange with it."""
-        return sum(self.stops.values()) - min(self.stops.values(), default=0.0)
+        """Return what stopping another drive takes: a drive's own stop is its turn."""
+        return STOPS_AHEAD * max(self.turns.values()) if len(self.turns) > 1 else 0.0
 
     @property
     def lead(self) -> float:
-        """Return how long before its deadline a drive has to go first."""
-        return self.blocking.seconds + sum(self.turns.values()) + self.stopping + self.broadcasts
-
-    @property
-    def least_interval(self) -> float:
-        """Return the shortest time between two good exchanges that can be promised."""
-        return self.lead + self.room
+        """Return how long before its deadline a drive has to go first: the shortest interval that can be promised."""
+        return self.blocking.seconds + self.lost.seconds + sum(self.turns.values()) + self.stopping + self.broadcasts
 
     @property
     def least_timeout(self) -> Decimal:
         """Return the shortest F803 that can be kept, in its steps of 0.1 s."""
-        return (PER_TIMEOUT * Decimal(str(self.least_interval))).quantize(Decimal("0.1"), ROUND_CEILING)
+        return (PER_TIMEOUT * Decimal(str(self.lead))).quantize(Decimal("0.1"), ROUND_CEILING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,18 +97,18 @@ class Refresh:
     @property
     def is_kept(self) -> bool:
         """Say whether it can be had whatever the line is doing."""
-        return self.worst.least_interval <= self.interval
+        return self.worst.lead <= self.interval
 
     @property
     def margin(self) -> float:
         """Return what share of the interval is left in the worst case; negative where it is not kept."""
-        return 1 - self.worst.least_interval / self.interval
+        return 1 - self.worst.lead / self.interval
 
     def __str__(self) -> str:
         verdict = f"kept, margin {self.margin:.0%}" if self.is_kept else "TOO SHORT"
         return (
             f"F803 {self.timeout:.1f} s: a good exchange is due every {self.interval:.3f} s;"
-            f" worst case {self.worst.least_interval:.3f} s = {' + '.join(self._terms())}: {verdict}"
+            f" worst case {self.worst.lead:.3f} s = {' + '.join(self._terms())}: {verdict}"
         )
 
     def _terms(self) -> Iterator[str]:
@@ -120,31 +116,26 @@ class Refresh:
         others = [name for name in worst.turns if name != self.drive]
         named = ", ".join(others) if len(others) < MANY else f"{len(others)} other drives"
         yield f"{worst.blocking.seconds:.3f} an exchange under way ({worst.blocking.what})"
+        yield f"{worst.lost.seconds:.3f} a lost exchange ({worst.lost.what})"
         if others:
-            yield f"{sum(worst.turns.values()) - own:.3f} keepalive of {named}, lost once and repeated"
-            yield f"{worst.stopping:.3f} stop of {named}"
+            yield f"{sum(worst.turns.values()) - own:.3f} turn of {named}"
+            yield f"{worst.stopping:.3f} stop of another drive"
         if worst.broadcasts:
             yield f"{worst.broadcasts:.3f} emergency stop of the whole line"
-        yield f"{own:.3f} its own exchange, lost once and repeated"
-        yield f"{worst.room:.3f} room for all else"
+        yield f"{own:.3f} its own turn"
 
 
 def worst_case(line: Line) -> WorstCase:
     """Reckon a line: every drive may be dead, every controlled one may have an F803 and be stopped just now."""
     controlled = [drive for drive in line.drives if drive.is_controlled]
-    longest = {drive.name: _longest(line, drive, [*_reads(drive), *_writes(drive)]) for drive in line.drives}
+    exchanges = [_longest(line, drive, _exchanges(drive)) for drive in line.drives]
+    keepalives = [_longest(line, drive, [*_turns(drive), *_identification(drive)]) for drive in controlled]
     return WorstCase(
-        blocking=max(longest.values(), key=lambda each: each.seconds),
-        turns={drive.name: TRIES * longest[drive.name].seconds for drive in controlled},
-        stops={drive.name: STOPS_AHEAD * _longest(line, drive, _stops(drive)).seconds for drive in controlled},
+        blocking=_longest_of(exchanges),
+        lost=_longest_of(keepalives) if keepalives else Longest(0.0, "nobody is commanded"),
+        turns={drive.name: OWN_TIME + turn(line, drive) for drive in controlled},
         broadcasts=_broadcasts(line) if len(controlled) == len(line.drives) else 0.0,
-        room=sum(_glance(line, drive) for drive in controlled) / KEEPALIVE_SHARE,
     )
-
-
-def turn(line: Line, drive: Drive) -> float:
-    """Return how long a good keepalive exchange with a drive takes at the most, in seconds."""
-    return _longest(line, drive, _reads(drive)).seconds
 
 
 def refreshes(line: Line) -> tuple[Refresh, ...]:
@@ -174,30 +165,45 @@ def remedy(line: Line, worst: WorstCase) -> str:
 
 
 def refusals(site: Site) -> list[str]:
-    """List what is configured of communication time-outs and cannot be kept: key, arithmetic, and what to do."""
-    return [text for index, line in enumerate(site.lines) for text in _refusals(index, line)]
+    """List what is configured of communication time-outs and contradicts itself or the model: key, and what to do."""
+    return [
+        f"{key}.{name}: {text}"
+        for line, key, drive in _commanded(site)
+        if drive.section is not None
+        for name, text in contradictions(drive.section, drive.model)
+    ]
 
 
-def _refusals(index: int, line: Line) -> Iterator[str]:
-    kept = {refresh.drive: refresh for refresh in refreshes(line)}
-    for place, drive in enumerate(line.drives):
-        if drive.section is None or not drive.is_controlled:
-            continue
-        key = f"line[{index}].drive[{place}] ({drive.name})"
-        for name, text in contradictions(drive.section, drive.model):
-            yield f"{key}.{name}: {text}"
-        refresh = kept.get(drive.name)
-        if refresh is not None and not refresh.is_kept:
-            yield f"{key}.communication_timeout: {refresh}; {remedy(line, refresh.worst)}"
+def too_short(site: Site) -> list[str]:
+    """List each configured F803 that cannot be kept whatever its line is doing: key, arithmetic, and what to do."""
+    return [
+        f"{key}.communication_timeout: {text}"
+        for line, key, drive in _commanded(site)
+        if drive.section is not None and (timeout := drive.section.communication_timeout)
+        if (text := unkept(line, worst_case(line), drive.name, timeout))
+    ]
+
+
+def _commanded(site: Site) -> Iterator[tuple[Line, str, Drive]]:
+    """Yield each drive that may be commanded, with its line and its key in the file."""
+    for index, line in enumerate(site.lines):
+        for place, drive in enumerate(line.drives):
+            if drive.is_controlled:
+                yield line, f"line[{index}].drive[{place}] ({drive.name})", drive
 
 
 # ---- what an exchange takes
 
 
-def _longest(line: Line, drive: Drive, requests: list[Request]) -> Longest:
+def _longest(line: Line, drive: Drive, requests: Iterable[Request]) -> Longest:
     """Return the longest of some exchanges with a drive."""
-    times = [Longest(at_most(line, drive, request), f"{drive.name}: {FORMS[type(request)]}") for request in requests]
-    return max(times, key=lambda longest: longest.seconds)
+    return _longest_of(
+        Longest(at_most(line, drive, request), f"{drive.name}: {FORMS[type(request)]}") for request in requests
+    )
+
+
+def _longest_of(exchanges: Iterable[Longest]) -> Longest:
+    return max(exchanges, key=lambda each: each.seconds)
 
 
 def at_most(line: Line, drive: Drive, request: Request) -> float:
@@ -207,11 +213,16 @@ def at_most(line: Line, drive: Drive, request: Request) -> float:
     return _exchange(line, drive.codec, request, processing)
 
 
-def _glance(line: Line, drive: Drive) -> float:
-    """Return how long a keepalive takes that goes well: a single read."""
-    codec, read = drive.codec, ReadWords(drive.number, 0)
-    processing = drive.model.times.processing + drive.wait_time
-    return OWN_TIME + line.timing.exchange(len(codec.encode(read)), codec.answer_size(read), processing)
+def turn(line: Line, drive: Drive) -> float:
+    """Return how long a good turn of a drive takes on the line, as `Planner.cost` reckons it: without `OWN_TIME`.
+
+    A poll that takes longer is no keepalive; nor is a write to the EEPROM.
+    """
+    codec, processing = drive.codec, drive.model.times.processing + drive.wait_time
+    return max(
+        line.timing.exchange(len(codec.encode(request)), codec.answer_size(request), processing)
+        for request in _turns(drive)
+    )
 
 
 def _exchange(line: Line, codec: Codec, request: Request, processing: float) -> float:
@@ -223,22 +234,26 @@ def _exchange(line: Line, codec: Codec, request: Request, processing: float) -> 
     return OWN_TIME + GAPS * timing.gap + sent + processing + line.margin + answer
 
 
-def _reads(drive: Drive) -> list[Request]:
-    """Return the longest read of each form, an identification among them: it repeats what was lost."""
-    number, blocks, forms = drive.number, drive.model.blocks, drive.codec.forms
-    requests: list[Request] = [ReadWords(number, 0)]
-    if forms.has_identification:
-        requests.append(Identify(number))
-    if forms.has_direct_block and blocks.direct_read_maximum:
-        requests.append(ReadWords(number, 0, blocks.direct_read_maximum))
-    if forms.has_block and blocks.indirect_read_maximum:
-        requests.append(ReadBlock(number, blocks.indirect_read_address, blocks.indirect_read_maximum))
+def _turns(drive: Drive) -> list[Request]:
+    """Return what a keepalive may be: a single read, the indirect block, or a frame of a command."""
+    blocks = drive.model.blocks
+    requests: list[Request] = [ReadWords(drive.number, 0), WriteRam(drive.number, 0, 0)]
+    if drive.codec.forms.has_block and blocks.indirect_read_maximum:
+        requests.append(ReadBlock(drive.number, blocks.indirect_read_address, blocks.indirect_read_maximum))
     return requests
 
 
-def _writes(drive: Drive) -> list[Request]:
-    """Return the longest write of each form that the gateway makes."""
-    requests: list[Request] = [WriteRam(drive.number, 0, 0)]
+def _identification(drive: Drive) -> list[Request]:
+    """Return what a keepalive is behind a lost exchange: as a lost one it covers a lost turn and itself answered."""
+    return [Identify(drive.number)] if drive.codec.forms.has_identification else []
+
+
+def _exchanges(drive: Drive) -> list[Request]:
+    """Return the longest exchange of each form that the gateway has with a drive."""
+    blocks = drive.model.blocks
+    requests = [*_turns(drive), *_identification(drive)]
+    if drive.codec.forms.has_direct_block and blocks.direct_read_maximum:
+        requests.append(ReadWords(drive.number, 0, blocks.direct_read_maximum))
     if _may_wear(drive):
         requests.append(WriteStored(drive.number, 0, 0))
     return requests
@@ -252,11 +267,6 @@ def _may_wear(drive: Drive) -> bool:
     asked = (section.communication_timeout, section.timeout_action, section.timeout_detection)
     sets_timeout = any(value is not None for value in asked) and not drive.codec.forms.has_ram_write
     return drive.provision or section.allow_stored or sets_timeout
-
-
-def _stops(drive: Drive) -> list[Request]:
-    """Return the frames of a stop: the command word, and reading it back."""
-    return [WriteRam(drive.number, _command(drive), 0), ReadWords(drive.number, _command(drive))]
 
 
 def _command(drive: Drive) -> int:
