@@ -60,6 +60,7 @@ def online() -> DriveImage:
     return image
 
 
+@pytest.mark.hazard("H20")
 def test_words_are_given_as_they_stand_on_the_wire() -> None:
     """Big-endian, undefined bits removed."""
     assert online().read(0xFD00, 4, NOW) == struct.pack(">4H", 0xFD00, 0x0001, 0xFD02, 0xFD03)

@@ -212,3 +212,18 @@ def test_a_stop_waits_for_one_exchange_at_the_most() -> None:
         assert len(ended) == 8
 
     lines.play(script)
+
+
+@pytest.mark.hazard("H29")
+def test_an_emergency_stop_of_a_line_is_one_frame_for_all_before_any_for_one() -> None:
+    """Number 0, which every drive obeys; then each is read back by itself."""
+
+    async def script(made: Bench, door: Door) -> None:
+        asked = asyncio.get_running_loop().time()
+        results = await lines.stopped(door, Verb.EMERGENCY_STOP, 3)
+        assert {result.status for result in results} == {Status.DONE}
+        sent = [e.data for e in made.wire.journal.last(5000) if e.way is Way.REQUEST and e.begin >= asked]
+        assert sent[0][:4] == bytes.fromhex("00 06 FA 00")
+        assert sorted(frame[0] for frame in sent[1:4]) == [1, 2, 3]
+
+    lines.play(script)
