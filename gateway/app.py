@@ -57,6 +57,7 @@ class App:
         self.store = Store.of(site, self.clock) if ledger is None else None
         self._load = load
         self._loading: asyncio.Task[None] | None = None
+        self._is_ending = False
         self.image = Image(site.drives)
         self.stats = Stats(started=self.clock.wall())
         self.stats.lines = {line.name: LineStats() for line in site.lines}
@@ -110,6 +111,11 @@ class App:
         """Ask the running gateway to end in order."""
         self._stop.set()
 
+    def end(self) -> None:
+        """End for good: no reload that is under way takes over (SIGTERM, SIGINT)."""
+        self._is_ending, self.successor = True, None
+        self.stop()
+
     def reload(self) -> None:
         """Read the configuration anew: a right one takes over whole, a wrong one changes nothing (SAFETY.md H34)."""
         if self._load is not None and (self._loading is None or self._loading.done()):
@@ -120,6 +126,8 @@ class App:
             successor = await asyncio.to_thread(load)
         except GatewayError as error:
             log.error("not reloaded, the gateway goes on as it was: %s", error)
+            return
+        if self._is_ending:
             return
         if successor == self.site:
             log.info("not reloaded: nothing has changed")
@@ -132,7 +140,7 @@ class App:
         """Run until `stop`, SIGTERM or SIGINT; GatewayError says what keeps it from starting or made it end."""
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
-            loop.add_signal_handler(number, self.stop)
+            loop.add_signal_handler(number, self.end)
         if self._load is not None:
             loop.add_signal_handler(signal.SIGHUP, self.reload)
         servers = [server for server in (self.modbus_tcp, self.web) if server is not None]

@@ -42,6 +42,10 @@ class Point:
     register: Register
     max_age: float
 
+COMMAND_BITS = frozenset(  # of FA00, without which a drive cannot be commanded
+    ("run", "coast", "emergency_stop", "fault_reset", "frequency_priority", "command_priority")
+)
+
 
 @dataclass(frozen=True, slots=True)
 class Drive:
@@ -217,8 +221,13 @@ def _wrong_control(label: str, drive: DriveSection, model: Model) -> Iterator[st
     """Find a control that nobody could use, that the model has no registers for, or that is not what it says."""
     if drive.control == "off":
         return
-    if "command" not in model.registers:
+    command = model.registers.get("command")
+    if command is None:
         yield f"{label}.control: {model.name} has no register 'command' (FA00): add it in a catalogue file"
+    elif missing := sorted(COMMAND_BITS - set(command.bits.values())):
+        yield f"{label}.control: register 'command' of {model.name} has no bit {', '.join(missing)}"
+    elif model.cautions.unanswered.get("command") != "fault_reset":
+        yield f"{label}.control: {model.name}: [cautions] has to say unanswered = {{ command = \"fault_reset\" }}"
     connector = model.connector()
     roles = connector.parameters if connector else {}
     asked = {

@@ -61,6 +61,10 @@ class LineControls:
             self._broadcasts.append(Broadcast(codec, request))
         return True
 
+    def drop_broadcasts(self) -> None:
+        """Send none of them any more: the line is down, and they would be old when it is back (SAFETY.md H11)."""
+        self._broadcasts.clear()
+
     def watch(self, drive: str) -> float:
         """Watch over the drive's F803 as it is known now, or leave it to itself; return its seconds."""
         control = self.controls[drive]
@@ -70,7 +74,9 @@ class LineControls:
         return timeout
 
     def next_broadcast(self, now: float) -> Broadcast | None:
-        """Return the broadcast that is to go now."""
+        """Return the broadcast that is to go now; none while a drive has to be left alone."""
+        if any(control.is_quiet for control in self.controls.values()):
+            self._broadcasts.clear()
         if not self._broadcasts:
             return None
         who = self._broadcasts[0].codec.name

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable, Mapping
 
 from gateway import site
 from gateway.bus.blocks import Planner
-from gateway.bus.controls import Commanded, LineControls
+from gateway.bus.controls import Broadcast, Commanded, LineControls
 from gateway.bus.exchange import Answered, Exchanger
 from gateway.bus.keepalive import Keepalive
 from gateway.bus.line import Line
@@ -126,6 +126,7 @@ class LineWorker:
             log.warning("line %s is down: %s; trying again every %.3g s and slower", self._line.name, reason, wait)
         self._stats.is_up = False
         self._stats.errors["line_down"] += 1
+        self._controls.drop_broadcasts()
         for station in self._stations.values():
             station.reader.forget()
             station.trip_signs.clear()
@@ -159,7 +160,7 @@ class LineWorker:
         for name, control in controls.controls.items():
             self._follow(self._stations[name], control, now)
         if (broadcast := controls.next_broadcast(now)) is not None:
-            await exchanger.exchange(broadcast.codec, broadcast.request, self._slowest)
+            await self._tell_all(exchanger, broadcast)
         elif (commanded := controls.next_stop(now)) is not None:
             await self._carry(exchanger, commanded)
         elif not controls.keepalive.lets_through(now) and (due := controls.next_due(now)) is not None:
@@ -170,10 +171,22 @@ class LineWorker:
         else:
             await self._poll(exchanger, now)
 
+    async def _tell_all(self, exchanger: Exchanger, broadcast: Broadcast) -> None:
+        """Send a broadcast; whatever comes of it, every drive is read back by itself."""
+        try:
+            await exchanger.exchange(broadcast.codec, broadcast.request, self._slowest)
+        except (NoReply, BadReply, Refused) as error:
+            self._stats.errors["bad_reply"] += 1
+            frames.debug("rx after a broadcast: %s", error)
+
     async def _poll(self, exchanger: Exchanger, now: float) -> None:
-        """Do what the schedule says: a poll, a probe, or waiting."""
+        """Do what the schedule says: a poll, a probe, or waiting; instead of waiting, what is due for an F803."""
         wake = self._controls.next_time()
-        match self._schedule.next(now):
+        found = self._schedule.next(now)
+        if not isinstance(found, Send) and (due := self._controls.next_due(now)) is not None:
+            await self._keep_alive(exchanger, self._stations[due], now)
+            return
+        match found:
             case Send(job):
                 self._controls.keepalive.let_through(now)
                 await self._exchange(exchanger, job)

@@ -10,7 +10,7 @@ from gateway.control.command import Command, Reason, Verb
 from gateway.control.composing import COMMAND, FREQUENCY, NotComposable, compose, has_bit, runs
 from gateway.control.settings import ControlSettings
 from gateway.control.writes import Allowed, BadCommand, PlannedWrite, Why, limited_by, plan_write
-from gateway.drives.register import Register
+from gateway.drives.register import Kind, Register
 from gateway.site import Drive
 
 EXECUTIVE = (Verb.RUN, Verb.JOG, Verb.PRESET)  # what sets a motor in motion
@@ -79,7 +79,8 @@ class Admission:
             raise NotAdmitted(REASONS[error.why], str(error)) from error
         for write in writes:
             self._check_word(command, write.register, write.word)
-        is_raw_stop = command.verb in (Verb.SET, Verb.WORDS) and any(_stops(write, is_own=is_own) for write in writes)
+        is_raw = command.verb in (Verb.SET, Verb.WORDS) and (is_own or len(writes) == 1)
+        is_raw_stop = is_raw and any(_stops(write, is_own=is_own) for write in writes)
         if is_raw_stop:
             writes = tuple(sorted(writes, key=lambda write: write.register.name != COMMAND))
         return Plan(
@@ -92,8 +93,11 @@ class Admission:
     def _check_word(self, command: Command, register: Register, word: int) -> None:
         if not self.settings.permits(command, register, word):
             raise NotAdmitted(Reason.NOT_PERMITTED, f"{command.source} has no right to {register.name} = {word:04X}H")
-        if register.name == FREQUENCY:
+        if register.name == FREQUENCY or (register.unit == "Hz" and register.kind is Kind.COMMAND):
             self._check_frequency(register.decode(word))
+        if register.unit == "min-1" and register.kind is Kind.COMMAND and self.settings.has_frequency_limits:
+            text = f"{register.name} is in min-1, and the limits of {self.drive.name} are configured in Hz"
+            raise NotAdmitted(Reason.NOT_PERMITTED, text)
 
     def _check_frequency(self, value: Decimal) -> None:
         least, greatest = self.settings.least_frequency, self.settings.greatest_frequency

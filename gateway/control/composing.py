@@ -79,6 +79,8 @@ def compose(command: Command, model: Model, known: Mapping[str, int]) -> tuple[S
     """
     if command.verb is Verb.SET:
         return (_value(command, model, command.name),)
+    if command.verb is Verb.WORDS and not command.words:
+        raise NotComposable(Reason.MALFORMED, "no words are given")
     if command.verb is Verb.WORDS:
         steps = [_raw(model, command.address + place, word) for place, word in enumerate(command.words)]
         return tuple(sorted(steps, key=lambda step: step.register.name == COMMAND))
@@ -111,6 +113,8 @@ def _taking_effect(command: Command, model: Model, before: int) -> tuple[Step, .
     if not has_bit(register, before, "command_priority") or has_bit(register, before, "frequency_priority"):
         return ()
     place = {name: bit for bit, name in register.bits.items()}
+    if "frequency_priority" not in place:
+        return ()
     return (Step(register, (before & register.mask) | 1 << place["frequency_priority"], register.mask),)
 
 
@@ -165,7 +169,8 @@ def _numbered(command: Command) -> set[str]:
     if command.verb not in (Verb.PRESET, Verb.ACCELERATION):
         return set()
     allowed = PRESET_NUMBERS if command.verb is Verb.PRESET else PATTERNS
-    number = -1 if command.value is None or command.value % 1 else int(command.value)
+    value = command.value
+    number = int(value) if value is not None and 0 <= value < len(PRESET_NUMBERS) and value == int(value) else -1
     if number not in allowed:
         raise NotComposable(Reason.RANGE, f"{command.verb} is a number from {allowed[0]} to {allowed[-1]}")
     if command.verb is Verb.ACCELERATION:

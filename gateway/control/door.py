@@ -158,6 +158,8 @@ class Door:
         controls = [self.controls.get(name) for name in names]
         if any(c is None or not c.settings.may_write(source) or c.is_quiet for c in controls):
             return False
+        if not any(c is not None and c.state.is_heard for c in controls):
+            return False
         register = next(c for c in controls if c is not None).drive.model.registers[COMMAND]
         word = sum(1 << bit for bit, name in register.bits.items() if name in ANNOUNCED)
         bell = self._bells.get(names[0])

@@ -6,6 +6,7 @@ ends in exactly one result (SAFETY.md H03-H12).
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -25,6 +26,8 @@ from gateway.control.writes import Allowed, BadCommand, plan_write
 from gateway.errors import Refused
 from gateway.protocol.pdu import Reply, Words
 from gateway.site import Drive
+
+log = logging.getLogger("gateway.control")
 
 WATCHDOG_WITHIN = 10.0  # seconds for F803, F804 and F808 to be written after a drive has come
 
@@ -107,6 +110,9 @@ class DriveControl:
             self._admit(command, told, now)
         except NotAdmitted as refusal:
             told(Result(command, Status.REFUSED, refusal.reason, str(refusal)))
+        except (ArithmeticError, LookupError, ValueError, BadCommand) as error:  # no command ends the gateway
+            log.exception("%s: %s cannot be understood", command.drive, command.verb)
+            told(Result(command, Status.REFUSED, Reason.MALFORMED, f"{type(error).__name__}: {error}"))
 
     def announce(self, command: Command, answer: Answer, now: float) -> None:
         """Take a stop that every drive was told by one broadcast: it only has to be read back, else written."""
@@ -137,7 +143,7 @@ class DriveControl:
         if not state.queue.joins(command, answer):
             state.queue.put(Execution(command, plan.writes, answer, is_stop=plan.is_stop))
         if command.source == self.lease.owner:
-            self.lease.renew(now)
+            self.lease.renew(min(now, command.received))
 
     def _check_owner(self, command: Command, now: float) -> None:
         if not self.state.is_own(command.source, now):
@@ -244,6 +250,9 @@ class DriveControl:
         if signs:
             self.on_trip(is_tripped=any(signs.values()))
         self.resets.came_back()
+        if self.resets.is_stop_lost:
+            self.resets.is_stop_lost = False
+            self.loss.owe()
         if state.is_running:
             self.loss.found_running(now)
         else:

@@ -47,12 +47,14 @@ class Loss:
         """End the permission, and do what is configured for that."""
         state, kind = self.state, self.state.settings.on_loss
         state.lease.end()
-        state.queue.clear(Reason.NOT_OWNER, reason)
+        state.queue.clear_but_stops(Reason.NOT_OWNER, reason)
         state.tell(event, reason)
         state.disarm(reason)
         if kind is OnLoss.HOLD or not state.may_move or state.standing is not Standing.DISARMED:
             return
-        if not state.is_heard or kind is OnLoss.QUIESCE:
+        if state.queue.has_stop:
+            self._adopt(reason, now)
+        elif not state.is_heard or kind is OnLoss.QUIESCE:
             self.unverified(reason, now)
         else:
             self._do(kind, reason, now)
@@ -61,11 +63,19 @@ class Loss:
         """Stop the drive since the gateway ends, where it was set in motion and is heard (SAFETY.md H13)."""
         state = self.state
         state.lease.end()
-        state.queue.clear(Reason.ENDING, "the gateway ends")
+        state.queue.clear_but_stops(Reason.ENDING, "the gateway ends")
         state.disarm("the gateway ends")
-        is_to_stop = state.settings.stops_on_exit and state.may_move and state.is_heard
-        if is_to_stop and state.standing is Standing.DISARMED:
+        if state.standing is not Standing.DISARMED:
+            return  # it is being stopped already, or left alone
+        if state.queue.has_stop:
+            self._adopt("the gateway ends", now)
+        elif state.settings.stops_on_exit and state.may_move and state.is_heard:
             self._do(OnLoss.STOP, "the gateway ends", now)
+
+    def _adopt(self, reason: str, now: float) -> None:
+        """See a stop through that somebody else has asked for, and that waits already."""
+        self.state.standing, self.state.reason = Standing.LOST, reason
+        self._kind, self._since = OnLoss.STOP, now
 
     def found_running(self, now: float) -> None:
         """Take that a drive came that runs by command: it is stopped where that is owed, else it wants an owner."""

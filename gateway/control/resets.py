@@ -13,7 +13,7 @@ from gateway.control.admission import NotAdmitted
 from gateway.control.command import Answer, Command, Reason, Result, Status
 from gateway.control.execution import Execution, Phase
 from gateway.control.state import DriveState, Errand, Standing, is_for_armed
-from gateway.control.writes import plan_write
+from gateway.control.writes import BadCommand, plan_write
 from gateway.drives.register import Register
 
 RESET_WITHIN = 15.0  # seconds for a drive to come back after a fault reset
@@ -28,6 +28,7 @@ class Resets:
     """The resets of one drive. Times are monotonic seconds."""
 
     state: DriveState
+    is_stop_lost: bool = False  # a stop waited when the drive was reset: it is owed
     _asked: Execution | None = None
     _until: float = 0.0
     _seen: float = float("-inf")
@@ -42,6 +43,7 @@ class Resets:
         state = self.state
         state.needs_set_up = True
         state.may_move = False
+        self.is_stop_lost |= state.queue.has_stop
         state.queue.clear(Reason.OFFLINE, RESET)
         state.disarm(RESET)
 
@@ -91,7 +93,10 @@ class Resets:
             else:
                 answer(Result(command, Status.DONE))
 
-        write = plan_write(state.drive.model, state.drive.codec, state.drive.number, register, 1)
+        try:
+            write = plan_write(state.drive.model, state.drive.codec, state.drive.number, register, 1)
+        except BadCommand:  # a catalogue in which it is none to be set
+            return None
         return Execution(command, (write,), marked)
 
     @property

@@ -5,10 +5,18 @@ from __future__ import annotations
 from collections import OrderedDict
 from dataclasses import dataclass, field
 
-from gateway.control.command import Answer, Command, Result, Source
+from gateway.control.command import Answer, Command, Reason, Result, Source, Status, Verb
 
 REMEMBERED = 256  # ids of one drive; the oldest finished ones are forgotten first
 ANSWERS = 16  # that may wait for one command under way
+
+
+Key = tuple[Source, str, Verb]
+
+
+def _key(command: Command) -> Key:
+    """Return what is the same for a repetition: an id that comes with another verb is a new command."""
+    return command.source, command.id, command.verb
 
 
 @dataclass(slots=True)
@@ -21,17 +29,19 @@ class _Known:
 class Results:
     """The results of one drive's commands by source and id. A command without an id is never a repetition."""
 
-    _known: OrderedDict[tuple[Source, str], _Known] = field(default_factory=OrderedDict)
+    _known: OrderedDict[Key, _Known] = field(default_factory=OrderedDict)
 
     def is_known(self, command: Command, answer: Answer) -> bool:
         """Say whether it came before; its first result then goes to `answer`, now or when it is there."""
-        known = self._known.get((command.source, command.id)) if command.id else None
+        known = self._known.get(_key(command)) if command.id else None
         if known is None:
             return False
         if known.result is not None:
             answer(known.result)
         elif len(known.answers) < ANSWERS:
             known.answers.append(answer)
+        else:
+            answer(Result(command, Status.REFUSED, Reason.BUSY, f"{ANSWERS} of this id wait for its result already"))
         return True
 
     def remembering(self, command: Command, answer: Answer) -> Answer:
@@ -39,7 +49,7 @@ class Results:
         if not command.id:
             return answer
         known = _Known([answer])
-        self._known[command.source, command.id] = known
+        self._known[_key(command)] = known
         self._forget()
 
         def told(result: Result) -> None:

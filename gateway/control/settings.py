@@ -11,6 +11,7 @@ from gateway.config import DriveSection, FallbackSection, RightSection, StoredWr
 from gateway.control.command import GATEWAY, Channel, Command, Source
 from gateway.drives.register import Register
 
+NO_LIMIT = 500  # Hz: what no drive exceeds, and `frequency.max` by default
 TIMEOUT_ACTIONS = {"alarm": 0, "coast": 1, "stop": 2}  # F804 (E6581657 6.3)
 TIMEOUT_DETECTIONS = {"always": 0, "communication": 1, "running": 2}  # F808
 
@@ -70,6 +71,11 @@ class ControlSettings:
     least_frequency: Decimal
     greatest_frequency: Decimal
     command_timeout: float
+
+    @property
+    def has_frequency_limits(self) -> bool:
+        """Say whether the configuration limits the frequency more than any drive does."""
+        return self.least_frequency > 0 or self.greatest_frequency < NO_LIMIT
 
     def may_write(self, source: Source) -> bool:
         """Say whether a source may command at all."""

@@ -110,6 +110,11 @@ class Queue:
         for execution in tuple(self.executions):
             self.end(execution, reason, text)
 
+    def clear_but_stops(self, reason: Reason, text: str) -> None:
+        """End everything that waits but a stop: no end of permission takes that back."""
+        for execution in [e for e in self.executions if not e.is_stop]:
+            self.end(execution, reason, text)
+
     def end(self, execution: Execution, reason: Reason, text: str) -> None:
         """End one: what was sent may have been done, or not."""
         self.remove(execution)

@@ -20,6 +20,7 @@ STARTS = frozenset(  # bits by which a motor may start: FA00, FA11; a reset lets
     ("run", "jog", "fault_reset", "up", "down", "mode", "enter", "easy", "local_remote")
 )
 STOPS = frozenset(("emergency_stop", "coast", "stop", "maximum_deceleration_stop"))  # bits that win over those
+SETPOINTS = ("command", "frequency_command", "motor_speed_command")  # FA00, FA01, FA13: in every model
 SPEEDS = ("Hz", "min-1")  # units of setpoints that start nothing at 0
 
 
@@ -115,7 +116,7 @@ def may_start(model: Model, register: Register, word: int) -> bool:
 
     Bits that are in neither table are judged by their register: where one of its bits starts, the others do not.
     """
-    if register.name not in model.cautions.may_start:
+    if register.name not in model.cautions.may_start and register.name not in SETPOINTS:
         return False
     if register.bits:
         names = {name for bit, name in register.bits.items() if word >> bit & 1}

@@ -130,3 +130,24 @@ def test_a_stop_within_a_block_goes_first() -> None:
     made = plan(admission(), Verb.WORDS, PLC, address=0xFA00, words=(0x8000, 0))
     assert made.is_stop
     assert [write.register.name for write in made.writes] == ["command", "frequency_command"]
+
+
+@pytest.mark.hazard("H04", "H28")
+def test_a_stop_of_another_source_carries_no_setpoint_behind_it() -> None:
+    """FA00 alone is a stop for everybody; FA00 and FA01 together are for the owner."""
+    assert not plan(admission(), Verb.WORDS, PLC, own=False, address=0xFA00, words=(0x8000, 5500)).is_stop
+    assert plan(admission(), Verb.WORDS, PLC, own=False, address=0xFA00, words=(0x8000,)).is_stop
+
+
+@pytest.mark.hazard("H31")
+def test_the_panels_frequency_is_limited_as_well() -> None:
+    """FA03 is in Hz like FA01."""
+    admitted = admission(frequency={"max": 10.0})
+    assert refusal(admitted, Verb.SET, PLC, name="panel_frequency", value="60") is Reason.RANGE
+
+
+@pytest.mark.hazard("H18")
+@pytest.mark.parametrize("value", ["1e30", "-1", "1e-30", "15.5"])
+def test_an_absurd_number_is_refused_and_ends_nothing(value: str) -> None:
+    """However large or small."""
+    assert refusal(admission(), Verb.PRESET, PLC, value=value) is Reason.RANGE

@@ -385,3 +385,41 @@ def test_a_flood_of_equal_stops_is_one_stop() -> None:
         assert not stage.bench.drive.inverter.operation.is_running
 
     play(script)
+
+
+@pytest.mark.hazard("H05", "H18")
+def test_a_drive_that_is_polled_seldom_is_refreshed_and_the_gateway_goes_on() -> None:
+    """Polled every 10 s, with F803 = 1.5 s: kept alive in between, and the event loop is never held up."""
+
+    async def script(stage: Stage) -> None:
+        await started(stage)
+        await stage.beat_for(25.0)
+        assert stage.bench.drive.inverter.operation.is_running
+        assert not stage.bench.drive.inverter.condition.is_timed_out
+        assert stage.bench.drive_stats["d1"].longest_gap <= 0.5
+
+    play(script, {"poll": [{"values": ["status"], "every": "10s"}]})
+
+
+@pytest.mark.hazard("H04", "H13")
+def test_a_stop_that_waits_is_not_taken_back_by_a_release_or_the_end() -> None:
+    """With `hold` as well: somebody wanted the motor to stop."""
+
+    async def released(stage: Stage) -> None:
+        await started(stage)
+        asked = asyncio.create_task(stage.ask(Verb.EMERGENCY_STOP, PLC))
+        await asyncio.sleep(0)
+        assert (await stage.ask(Verb.RELEASE)).status is Status.DONE
+        assert (await asked).status is Status.DONE
+
+    async def ended(stage: Stage) -> None:
+        await started(stage)
+        asked = asyncio.create_task(stage.ask(Verb.STOP, PLC))
+        await asyncio.sleep(0)
+        stage.door.leave()
+        assert not stage.door.is_settled
+        assert (await asked).status is Status.DONE
+        assert not stage.bench.drive.inverter.operation.is_running
+
+    play(released, {"on_loss": "hold"})
+    play(ended, {"on_exit": "hold"})
