@@ -142,7 +142,7 @@ def test_a_stop_of_another_source_carries_no_setpoint_behind_it() -> None:
 @pytest.mark.hazard("H31")
 def test_the_panels_frequency_is_limited_as_well() -> None:
     """FA03 is in Hz like FA01."""
-    admitted = admission(frequency={"max": 10.0})
+    admitted = admission(frequency={"max": 10.0}, allow_stored=True)
     assert refusal(admitted, Verb.SET, PLC, name="panel_frequency", value="60") is Reason.RANGE
 
 
