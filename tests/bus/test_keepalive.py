@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from random import Random
 
@@ -355,6 +355,58 @@ def longest_gaps(line: Neighbourhood, seconds: float) -> dict[str, float]:
 def test_no_living_drive_waits_longer_than_a_third_of_its_time_out(line: Neighbourhood) -> None:
     """Whatever is lost, falls silent and comes back, is stopped without end, or takes as long as it can."""
     assert max(longest_gaps(line, 40.0).values(), default=0.0) <= 1 + 1e-6
+
+
+def stormy(seed: int, drives: int = 4, flooded: Sequence[str] = ("d1",)) -> Neighbourhood:
+    """Return a line of like drives with the shortest F803 that is kept, on which everything comes when it hurts."""
+    names = [f"d{place}" for place in range(drives)]
+    worst = WorstCase(Longest(0.12, ""), Longest(0.12, ""), dict.fromkeys(names, 0.036), 0.027)
+    return Neighbourhood(
+        worst=worst,
+        lead=worst.lead,
+        late=0.054,
+        again=0.03,
+        timeouts=dict.fromkeys(names, PER_TIMEOUT * worst.lead * (1 + 1e-9)),
+        losses=1.0,
+        silent={},
+        flooded=list(flooded),
+        is_announced=True,
+        is_worst=True,
+        is_lurking=True,
+        chance=Random(seed),
+    )
+
+
+@pytest.mark.hazard("H30")
+@pytest.mark.parametrize("left_out", ["nothing", "blocking", "lost", "a turn", "the stop", "broadcasts"])
+def test_a_lead_without_one_of_its_terms_is_too_short(left_out: str) -> None:
+    """And with all of them, the same storm delays a drive to the last moment, and no further."""
+    line = stormy(0)
+    worst, turn = line.worst, line.worst.turns["d0"]
+    terms = {
+        "nothing": 0.0,
+        "blocking": worst.blocking.seconds,
+        "lost": worst.lost.seconds,
+        "a turn": turn,
+        "the stop": worst.stopping,
+        "broadcasts": worst.broadcasts,
+    }
+    line.lead -= terms[left_out]
+    line.timeouts = dict.fromkeys(line.timeouts, PER_TIMEOUT * line.lead * (1 + 1e-9))
+    longest = max(longest_gaps(line, 40.0).values())
+    if left_out == "nothing":
+        assert longest == pytest.approx(1, abs=1e-3)
+    else:
+        assert longest > 1.01
+
+
+@pytest.mark.hazard("H29")
+@pytest.mark.parametrize("drives", [3, 5, 8])
+def test_drives_that_are_all_stopped_singly_and_without_end_keep_a_third_of_their_time_out(drives: int) -> None:
+    """More than the premise has: a third of F803 is missed, and two thirds are not."""
+    everyone = [f"d{place}" for place in range(drives)]
+    for seed in range(3):
+        assert 1 <= max(longest_gaps(stormy(seed, drives, everyone), 40.0).values()) < 2
 
 
 @pytest.mark.hazard("H30")
