@@ -53,7 +53,7 @@ class ListeningDoor(Door):
         """Keep a command."""
         self.asked.append((command, answer))
 
-    def stop_line(self, line: str, verb: Verb, source: Source, answer: Answer) -> None:
+    def stop_line(self, line: str, verb: Verb, source: Source, answer: Answer, number: str = "") -> None:
         """Keep a stop of a line."""
         self.line_stops.append((line, verb, source, answer))
 

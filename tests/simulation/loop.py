@@ -23,18 +23,19 @@ class Watch:
     action: Callable[[], None]
 
 
-class WorldSelector(selectors.SelectSelector):
+class WorldSelector(selectors.EpollSelector):
     """Where the loop would wait, the world moves on; its own ends of pipes are served at once."""
 
     def __init__(self, world: World) -> None:
         super().__init__()
         self._world = world
         self._order: dict[int, int] = {}
+        self._registered = 0
 
     def register(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
         """Register, and remember the order: descriptors are numbered by chance."""
         key = super().register(fileobj, events, data)
-        self._order[key.fd] = len(self._order) and max(self._order.values()) + 1
+        self._order[key.fd] = self._registered = self._registered + 1
         return key
 
     def unregister(self, fileobj: Any) -> selectors.SelectorKey:
@@ -48,7 +49,8 @@ class WorldSelector(selectors.SelectSelector):
         ready = super().select(0)
         if not ready:
             return ready
-        ready.sort(key=lambda item: self._order[item[0].fd])
+        if len(ready) > 1:
+            ready.sort(key=lambda item: self._order[item[0].fd])
         for key, _ in ready:
             if isinstance(key.data, Watch):
                 key.data.action()
@@ -64,6 +66,9 @@ class WorldSelector(selectors.SelectSelector):
             raise AssertionError("everybody waits for something that never comes")
         while world.now < world.frozen_until:
             world.advance(world.frozen_until)
+        if not world.has_sent:
+            return []
+        world.has_sent = False
         return self.serve()
 
 
@@ -135,7 +140,7 @@ class SimulatedClock:
 
     def now(self) -> float:
         """Return monotonic seconds."""
-        return self._world.now
+        return self._world.look()
 
     def wall(self) -> float:
         """Return UTC seconds, as the machine's clock has them."""

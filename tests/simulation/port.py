@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
+from collections.abc import Callable
 
 from gateway import site
 from gateway.bus.line import Line
@@ -25,6 +26,8 @@ class Port:
         self.is_plugged = True
         self._world = world
         self._loop = loop
+        self.on_change: Callable[[], None] = lambda: None  # called when something has happened on the line
+        self._listeners: list[Callable[[bytes], None]] = []
         self._end: socket.socket | None = None
         self._next: Event | None = None
 
@@ -39,6 +42,10 @@ class Port:
             end.setblocking(False)
         self._loop.watch(self._end, self._take)
         return DescriptorLine(line.port, theirs, line.timing, clock, is_pty=False)
+
+    def listen(self, listener: Callable[[bytes], None]) -> None:
+        """Call `listener` with every frame in the moment in which the gateway writes it."""
+        self._listeners.append(listener)
 
     def unplug(self) -> None:
         """Pull the adapter out: what is on the line is lost."""
@@ -70,6 +77,8 @@ class Port:
         if not data:
             self.sever()
             return
+        for listener in self._listeners:
+            listener(data)
         self.wire.feed(data, self._world.now)
         self.plan()
 
@@ -84,6 +93,8 @@ class Port:
         self._next = None
         for data in self.wire.due(self._world.now):
             if self._end is not None:
+                self._world.has_sent = True
                 with contextlib.suppress(OSError):
                     self._end.send(data)
+        self.on_change()
         self.plan()

@@ -6,13 +6,15 @@ import heapq
 import itertools
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from hashlib import sha256
 from random import Random
 
 START = 1000.0  # monotonic seconds at which a trial begins
 EPOCH = 1_700_000_000.0  # UTC seconds at that moment
+MOST_LOOKS = 10_000  # of the gateway at its clock at one moment
 
-Action = Callable[[], None]
+Action = Callable[[], object]
 
 
 class Event:
@@ -28,6 +30,15 @@ class Event:
         self.action = None
 
 
+@dataclass(slots=True)
+class Nap:
+    """A standstill of the process when it has looked at the clock so often: before it knows the time, or after."""
+
+    seconds: float
+    looks: int
+    is_before: bool
+
+
 class World:
     """The clock that everything goes by, and what is to come. Same seed, same course of events."""
 
@@ -35,6 +46,12 @@ class World:
         self.now = START
         self.wall_offset = 0.0  # seconds by which the wall clock was put forward
         self.frozen_until = -math.inf  # the gateway's process stands still before that
+        self.naps: list[Nap] = []
+        self.before_nap: Action = lambda: None  # takes what the gateway has written so far
+        self.looks = 1  # of the gateway at its clock, since the last nap: without any it cannot know of it
+        self._seen = START
+        self._still = 0
+        self.has_sent = False  # something to the gateway, which is then to be looked for at once
         self.trace: list[tuple[object, ...]] = []
         self._seed = seed
         self._events: list[tuple[float, int, Event]] = []
@@ -76,6 +93,28 @@ class World:
         """Let the gateway's process stand still from now on: the world goes on, its sockets fill."""
         self.note("freeze", seconds)
         self.frozen_until = self.now + seconds
+
+    def look(self) -> float:
+        """Return the time as the gateway sees it: it may stand still just then."""
+        self.looks += 1
+        self._still = self._still + 1 if self.now == self._seen else 0
+        self._seen = self.now
+        if self._still > MOST_LOOKS:
+            raise AssertionError(f"the gateway has looked {MOST_LOOKS} times at its clock, and never waits")
+        if not self.naps or self.frozen_until > self.now:
+            return self.now
+        nap = self.naps[0]
+        nap.looks -= 1
+        if nap.looks > 0:
+            return self.now
+        before = self.now
+        self.naps.pop(0)
+        self.before_nap()
+        self.freeze(nap.seconds)
+        while self.now < self.frozen_until:
+            self.advance(self.frozen_until)
+        self.looks = int(nap.is_before)
+        return self.now if nap.is_before else before
 
     def wall(self) -> float:
         """Return UTC seconds."""

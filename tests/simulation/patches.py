@@ -1,0 +1,62 @@
+"""What of the gateway and its libraries goes by the machine, not by what it is given: time, network, threads."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import socket
+import threading
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from unittest import mock
+
+import paho.mqtt.client
+
+import gateway.app
+from gateway.drives import catalogue
+from gateway.drives.catalogue import Catalogue
+from tests.simulation.links import Network
+from tests.simulation.world import World
+
+
+class AtOnce(threading.Thread):
+    """A thread that has done its work when it was started: nothing runs beside the loop."""
+
+    def start(self) -> None:
+        """Do the work."""
+        self.run()
+
+
+@cache
+def _catalogue(files: tuple[Path, ...]) -> Catalogue:
+    return _load(files)
+
+
+_load = catalogue.load
+
+
+@contextlib.contextmanager
+def applied(world: World, network: Network) -> Iterator[None]:
+    """Let the gateway live in a world, in this thread; its log is not kept."""
+    collector = SimpleNamespace(collect=lambda: 0, freeze=lambda: None)  # the process is not the gateway's alone
+    with (
+        mock.patch.object(paho.mqtt.client, "time_func", lambda: world.now),  # noqa: PT008 - the time goes on
+        mock.patch.object(socket, "create_connection", network.create_connection),
+        mock.patch.object(threading, "Thread", AtOnce),
+        mock.patch.object(gateway.app, "gc", collector),
+    ):
+        before = logging.root.manager.disable
+        logging.disable(logging.CRITICAL)
+        try:
+            yield
+        finally:
+            logging.disable(before)
+
+
+@contextlib.contextmanager
+def catalogue_kept() -> Iterator[None]:
+    """Read the catalogue once for all trials."""
+    with mock.patch.object(catalogue, "load", lambda files=(): _catalogue(tuple(files))):
+        yield
