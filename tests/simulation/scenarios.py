@@ -137,7 +137,7 @@ async def drives_fail(plant: Plant) -> None:
 
 
 async def gateway_killed(plant: Plant) -> None:
-    """Play: the gateway is killed, and perhaps started again, while the drives go on; the controllers live, or do not."""
+    """Play: the gateway is killed, and perhaps started again, while drives go on; controllers live, or do not."""
     chance = plant.chance
     plant.start()
     at_work(plant)
