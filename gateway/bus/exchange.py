@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from dataclasses import dataclass
 
@@ -51,6 +52,11 @@ class Exchanger:
         self._is_untimed = False
         self._was_on_time = False
         self._last_end = clock.now()
+
+    async def ready(self) -> None:
+        """Wait until the line may carry a request; one that babbles is told by the exchange itself."""
+        with contextlib.suppress(BadReply):
+            await self._line.quiet()
 
     async def exchange(self, codec: Codec, request: Request, processing: float) -> Answered:
         """Send a request and return its answer.

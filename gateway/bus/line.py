@@ -13,6 +13,10 @@ class Line(Protocol):
         """Say whether the port is a pseudo-terminal: no real line, so its timing proves nothing."""
         ...
 
+    async def quiet(self) -> None:
+        """Wait for the gap; BadReply where the line does not become quiet within a second."""
+        ...
+
     async def write(self, frame: bytes) -> float:
         """Wait for the gap, discard what has arrived, send; return when the first bit left (monotonic).
 

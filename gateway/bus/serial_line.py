@@ -139,8 +139,8 @@ class DescriptorLine:
         self._quiet_since = clock.now()
         self._loop.add_reader(self._fd, self._take)
 
-    async def write(self, frame: bytes) -> float:
-        """Wait for the gap, discard what has arrived, send; return when the first bit left (monotonic)."""
+    async def quiet(self) -> None:
+        """Wait for the gap."""
         self._check()
         patience = self._clock.now() + NEVER_QUIET
         while (when := self._quiet_since + self._timing.gap) > self._clock.now():
@@ -148,6 +148,10 @@ class DescriptorLine:
                 raise BadReply(f"{self.name}: the line is never quiet: something babbles, or another master talks")
             await self._alarm.wait_until(when)  # what arrives meanwhile moves the end of the gap
             self._check()
+
+    async def write(self, frame: bytes) -> float:
+        """Wait for the gap, discard what has arrived, send; return when the first bit left (monotonic)."""
+        await self.quiet()
         self._arrived.clear()
         begun = self._clock.now()
         try:

@@ -80,6 +80,7 @@ class LineWorker:
         count_stored: Callable[[str, int], None] | None = None,
     ) -> None:
         self._count_stored = count_stored
+        self._is_rung = False  # since the next poll was chosen
         self._line = line
         own = {drive.name: controls[drive.name] for drive in line.drives if controls and drive.name in controls}
         self._worst = worst_case(line)
@@ -188,8 +189,11 @@ class LineWorker:
             return
         match found:
             case Send(job):
-                self._controls.keepalive.let_through(now)
-                await self._exchange(exchanger, job)
+                self._is_rung = False
+                await exchanger.ready()
+                if not self._is_rung:  # else a command came within the gap: it goes first
+                    self._controls.keepalive.let_through(now)
+                    await self._exchange(exchanger, job)
             case NotBefore(when):
                 await self._alarm.wait_until(min(when, wake))
             case None:
@@ -215,6 +219,7 @@ class LineWorker:
 
     def ring(self) -> None:
         """Look again at what is to be done: a command has come."""
+        self._is_rung = True
         self._alarm.ring()
 
     def announce(self, word: int) -> bool:

@@ -24,8 +24,8 @@ class TwinLine:
         self._quiet_since = clock.now()
         self._is_down = False
 
-    async def write(self, frame: bytes) -> float:
-        """Wait for the gap, discard what has arrived, send; return when the first bit left (monotonic)."""
+    async def quiet(self) -> None:
+        """Wait for the gap."""
         self._collect()
         patience = self._clock.now() + NEVER_QUIET
         while (when := self._quiet_since + self._timing.gap) > self._clock.now():
@@ -33,6 +33,10 @@ class TwinLine:
                 raise BadReply("the simulated line is never quiet")
             await self._alarm.wait_until(when)  # what arrives meanwhile moves the end of the gap
             self._collect()
+
+    async def write(self, frame: bytes) -> float:
+        """Wait for the gap, discard what has arrived, send; return when the first bit left (monotonic)."""
+        await self.quiet()
         self._arrived.clear()
         begun = self._clock.now()
         self.wire.feed(frame, begun)

@@ -250,6 +250,9 @@ class ScriptedLine:
         self._alarm = self._clock.alarm()
         self._next = float("inf")
 
+    async def quiet(self) -> None:
+        """Be quiet at once."""
+
     async def write(self, frame: bytes) -> float:
         """Wait for the gap, then send."""
         await self._alarm.wait_until(self._clock.now() + self._timing.gap)
