@@ -136,7 +136,7 @@ class DriveControl:
             return
         plan = state.admission.plan(command, state.facts, is_own=state.is_own(command.source, now))
         if plan.is_stop:
-            self._check_reach()
+            self._check_reach(now)
         else:
             self._check_owner(command, now)
             self._check_state(plan)
@@ -156,12 +156,14 @@ class DriveControl:
             return f"nobody holds the lease of {self.drive.name}: take it first"
         return f"{self.lease.owner} holds the lease"
 
-    def _check_reach(self) -> None:
+    def _check_reach(self, now: float) -> None:
         """Refuse a stop that must not, or cannot, be sent."""
         if self.standing is Standing.QUIET:
             raise NotAdmitted(Reason.QUIESCED, f"the drive is left alone, so that its F803 stops it: {self.reason}")
         if not self.state.is_heard:
             self.loss.owe()
+            if self.state.may_move:  # no read may start its F803 anew before the stop is sent
+                self.loss.unverified("a stop came while the drive was not heard", now)
             text = f"{self.drive.name} is not heard; if it comes back running, it is stopped"
             raise NotAdmitted(Reason.OFFLINE, text)
 

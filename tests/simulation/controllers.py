@@ -5,18 +5,19 @@ from __future__ import annotations
 import json
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from decimal import Decimal
 from random import Random
 from typing import Any
 
 from gateway.control.command import Verb
-from gateway.modbus_tcp.mirror_map import MIRROR_AT, ORDERS, PER_DRIVE, Place
+from gateway.modbus_tcp.mirror_map import LINES_AT, MIRROR_AT, ORDERS, PER_DRIVE, Place
 from tests.simulation.broker import Broker, Message
 from tests.simulation.links import Cable, Network
 from tests.simulation.orders import Order, Player, Script
-from tests.simulation.setup import HUNDREDTHS, ROOT, TCP_PORT, Setup
+from tests.simulation.setup import HUNDREDTHS, LINE, ROOT, TCP_PORT, Setup
 from tests.simulation.world import World
 
 MIRROR_UNIT = 255
@@ -24,8 +25,12 @@ WRITE_ONE, WRITE_MANY = 0x06, 0x10
 MBAP = struct.Struct(">HHHB")
 REFUSED = {0x01: "not_permitted", 0x02: "address", 0x03: "range", 0x04: "failed", 0x06: "busy", 0x0B: "no_answer"}
 ACKNOWLEDGE = 0x05
+COMMAND_AT, FREQUENCY_AT = 0xFA00, 0xFA01
+RAW = {Verb.RUN: 0xC400, Verb.STOP: 0xC000, Verb.COAST: 0xC800, Verb.FREQUENCY: 0}  # FA00, as drives have it
+SAID_TWICE = 0.05  # probability that a command is sent again
 CODES = {(order.verb, order.is_reverse): code for code, order in ORDERS.items()}
 BEATS = 3  # a lease
+REMEMBERED = 200  # orders whose results are still waited for
 
 Heard = Callable[[Order], None]
 Beaten = Callable[[str, str, bytes], None]
@@ -37,13 +42,14 @@ class Controller(ABC):
     def __init__(self, world: World, setup: Setup, source: str, heard: Heard, beaten: Beaten) -> None:
         self.source = source
         self.is_alive = True
-        self.orders: list[Order] = []
+        self.orders: deque[Order] = deque(maxlen=REMEMBERED)
         self.chance: Random = world.chance(f"controller {source}")
         self._world = world
         self._setup = setup
         self._heard = heard
         self._beaten = beaten
         self._players: list[Player] = []
+        self._asked_for = 0
         self._beats = self.chance.randrange(1000)
 
     # ---- what it does
@@ -62,12 +68,26 @@ class Controller(ABC):
 
     def order(self, drive: str, verb: Verb, value: Decimal | None = None, **more: Any) -> Order:
         """Ask for something."""
-        order = Order(self.source, drive, verb, f"{self.source}-{len(self.orders)}", value)
-        order.issued = self._world.wall()
-        self.orders.append(order)
+        order = self._made(drive, verb, value)
         if self.is_alive:
             self._send(order, **more)
         return order
+
+    def _made(self, drive: str, verb: Verb, value: Decimal | None = None) -> Order:
+        self._asked_for += 1
+        order = Order(self.source, drive, verb, f"{self.source}-{self._asked_for}", value, self._world.wall())
+        self.orders.append(order)
+        return order
+
+    def stop_line(self) -> None:
+        """Have every drive of the line stopped in an emergency."""
+        if self.is_alive:
+            self._send_stop_of_line([self._made(drive, Verb.EMERGENCY_STOP) for drive in self._setup.names])
+
+    def revive(self) -> None:
+        """Come back to life, with nothing to do yet."""
+        self._world.note("revives", self.source)
+        self.is_alive = True
 
     def beat_for(self, drive: str) -> Script:
         """Give signs of life for as long as it lives."""
@@ -77,15 +97,19 @@ class Controller(ABC):
             yield self._setup.lease / BEATS * self.chance.uniform(0.7, 1.0)
 
     def arrived(self, order: Order) -> None:
-        """Take note that a command is in the gateway's socket, for the first time."""
-        if order.delivered is None:
-            order.delivered = self._world.now
+        """Take note that a command is in the gateway's socket, for the first time since the gateway was started."""
+        if order.delivered is None or order.delivered < self._world.started:
+            order.delivered, order.written = self._world.now, 0
             self._world.note("heard", order.source, order.drive, order.verb.value, order.id)
             self._heard(order)
 
     @abstractmethod
     def _send(self, order: Order, **more: Any) -> None:
         """Send a command."""
+
+    @abstractmethod
+    def _send_stop_of_line(self, orders: Sequence[Order]) -> None:
+        """Send one command that is an order for each drive."""
 
     @abstractmethod
     def _beat(self, drive: str, beat: int) -> None:
@@ -117,6 +141,21 @@ class MqttController(Controller):
 
     def _send(self, order: Order, **more: Any) -> None:
         self._broker.publish(self.message(order, **more))
+        if self.chance.random() < SAID_TWICE:
+            self._world.after(self.chance.uniform(0.0, 1.0), lambda: self._again(order, **more))
+
+    def _again(self, order: Order, **more: Any) -> None:
+        """Send the same command again, as clients do that have not heard of its arrival."""
+        if self.is_alive:
+            self._broker.publish(self.message(order, **more))
+
+    def _send_stop_of_line(self, orders: Sequence[Order]) -> None:
+        def arrived() -> None:
+            for order in orders:
+                self.arrived(order)
+
+        payload = json.dumps({"command": Verb.EMERGENCY_STOP.value, "source": self.source}).encode()
+        self._broker.publish(Message(f"{ROOT}/line/{LINE}/command", payload, 1, tag=arrived))
 
     def _beat(self, drive: str, beat: int) -> None:
         payload = json.dumps({"source": self.source, "beat": beat}).encode()
@@ -146,6 +185,7 @@ class TcpController(Controller):
         self._arrived = b""
         self._transaction = 0
         self._asked: dict[int, Order | None] = {}
+        self.is_raw = self.chance.random() < 0.3
 
     def die(self) -> None:
         """Say nothing any more; the connection stays, as it does where the power fails."""
@@ -153,19 +193,43 @@ class TcpController(Controller):
         self._cable = None
 
     def _send(self, order: Order, **more: Any) -> None:
+        if self.is_raw and order.verb in RAW:
+            self._send_raw(order)
+            return
         base = MIRROR_AT + PER_DRIVE * self._setup.names.index(order.drive)
         self._beats += 1
         hertz = 0 if order.value is None else int(order.value * HUNDREDTHS)
         if order.verb is Verb.FREQUENCY:
             pdu = struct.pack(">BHH", WRITE_ONE, base + Place.FREQUENCY, hertz)
         elif order.value is not None:
-            words = (CODES[order.verb, False], self._beats & 0xFFFF, hertz, 0, len(self.orders) & 0xFFFF)
+            words = (CODES[order.verb, False], self._beats & 0xFFFF, hertz, 0, self._asked_for & 0xFFFF)
             pdu = struct.pack(">BHHB5H", WRITE_MANY, base, 5, 10, *words)
         else:
             pdu = struct.pack(">BHH", WRITE_ONE, base, CODES[order.verb, False])
         beat = self._beats
         if not self._put(pdu, order, lambda: self._order_arrived(order, beat)):
             order.answered("unknown", "not connected")
+
+    def _send_raw(self, order: Order) -> None:
+        """Write to the drive's own numbers under its own unit."""
+        number = self._setup.numbers[self._setup.names.index(order.drive)]
+        hertz = 0 if order.value is None else int(order.value * HUNDREDTHS)
+        if order.verb is Verb.RUN:
+            pdu = struct.pack(">BHHB2H", WRITE_MANY, COMMAND_AT, 2, 4, RAW[Verb.RUN], hertz)
+        elif order.verb is Verb.FREQUENCY:
+            pdu = struct.pack(">BHH", WRITE_ONE, FREQUENCY_AT, hertz)
+        else:
+            pdu = struct.pack(">BHH", WRITE_ONE, COMMAND_AT, RAW[order.verb])
+        if not self._put(pdu, order, lambda: self.arrived(order), unit=number):
+            order.answered("unknown", "not connected")
+
+    def _send_stop_of_line(self, orders: Sequence[Order]) -> None:
+        def arrived() -> None:
+            for order in orders:
+                self.arrived(order)
+
+        pdu = struct.pack(">BHH", WRITE_ONE, LINES_AT, CODES[Verb.EMERGENCY_STOP, False])
+        self._put(pdu, None, arrived)
 
     def _order_arrived(self, order: Order, beat: int) -> None:
         if order.verb is not Verb.FREQUENCY and order.value is not None:
@@ -177,7 +241,7 @@ class TcpController(Controller):
         pdu = struct.pack(">BHH", WRITE_ONE, base + Place.HEARTBEAT, beat & 0xFFFF)
         self._put(pdu, None, lambda: self._beaten(drive, self.source, str(beat & 0xFFFF).encode()))
 
-    def _put(self, pdu: bytes, order: Order | None, delivered: Callable[[], None]) -> bool:
+    def _put(self, pdu: bytes, order: Order | None, delivered: Callable[[], None], unit: int = MIRROR_UNIT) -> bool:
         """Send a request; False where there is no connection."""
         if self._cable is None or not self._cable.is_open:
             self._arrived = b""
@@ -187,7 +251,7 @@ class TcpController(Controller):
             return False
         self._transaction = (self._transaction + 1) % 0x10000
         self._asked[self._transaction] = order
-        self._cable.send(MBAP.pack(self._transaction, 0, len(pdu) + 1, MIRROR_UNIT) + pdu, delivered)
+        self._cable.send(MBAP.pack(self._transaction, 0, len(pdu) + 1, unit) + pdu, delivered)
         return True
 
     def _take(self, data: bytes) -> None:

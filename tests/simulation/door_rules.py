@@ -38,7 +38,7 @@ class DoorRules:
     setup: Setup
     drives: dict[str, SimulatedDrive]
     tell: Callable[[str], None]
-    asked: list[Asked] = field(default_factory=list)
+    asked: dict[int, Asked] = field(default_factory=dict)  # that have no result yet
     answered: dict[int, float] = field(default_factory=dict)  # by number: when an undamaged answer was heard last
     undone: dict[str, float] = field(default_factory=dict)  # when a drive was reset, tripped or swapped last
 
@@ -55,11 +55,12 @@ class DoorRules:
 
     def _asked(self, command: Command, answer: Answer) -> Answer:
         asked = Asked(command)
-        self.asked.append(asked)
+        self.asked[id(asked)] = asked
         self.world.note("submit", command.drive, command.verb.value, str(command.source), command.id)
 
         def told(result: Result) -> None:
             asked.results += 1
+            self.asked.pop(id(asked), None)
             if asked.results > 1:
                 self.tell(f"{command.verb} of {command.source} has {asked.results} results")
             self._judge(command, result)
@@ -87,10 +88,9 @@ class DoorRules:
 
     def ended(self) -> None:
         """See that every command has had its result, now that the gateway's process is over."""
-        for asked in self.asked:
-            if asked.results != 1:
-                command = asked.command
-                self.tell(f"{command.verb} of {command.source} for {command.drive} has {asked.results} results")
+        for asked in self.asked.values():
+            command = asked.command
+            self.tell(f"{command.verb} of {command.source} for {command.drive} has no result")
         self.asked.clear()
 
     # ---- what is shown, and what waits

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -33,7 +32,6 @@ class Known:
     drive: SimulatedDrive
     is_commanded: bool = False  # something has reached this process of the gateway
     asked: dict[int, Order] = field(default_factory=dict)  # by setpoint: who asked for it last
-    written: Counter[str] = field(default_factory=Counter)  # by order: how often its setpoint was written
     stopped: float = float("-inf")  # when the last stop reached it
     armed: float = float("-inf")
     reset: float = float("-inf")  # when the drive has forgotten what it was told, or was not to be reached
@@ -144,9 +142,9 @@ class LineRules:
         if order is None or order.delivered is None:
             self.tell(f"{text} was written, and nobody has asked for it")
             return
-        known.written[order.id] += 1
-        if known.written[order.id] > 1:
-            self.tell(f"{text} was written {known.written[order.id]} times for one command")
+        order.written += 1
+        if order.written > 1:
+            self.tell(f"{text} was written {order.written} times for one command")
         begun = now - self.gap - ROUNDING
         if order.delivered < known.stopped < begun:
             self.tell(f"{text} was written, and is older than the last stop")

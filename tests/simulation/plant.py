@@ -182,6 +182,7 @@ class Plant:
     def start(self) -> None:
         """Start the gateway."""
         self.world.note("start")
+        self.world.started = self.world.now
         self.line_rules.started()
         if self._starts:
             self.oracle.end_all()

@@ -71,7 +71,7 @@ async def over(plant: Plant) -> None:
 
 
 async def death_in_every_state(plant: Plant) -> None:
-    """Each controller dies in some state of its drive, at any moment of it."""
+    """Let each controller die in some state of its drive, at any moment of it."""
     plant.start()
     for place, drive in enumerate(plant.drives):
         controller = plant.anybody(place)
@@ -89,7 +89,7 @@ async def death_in_every_state(plant: Plant) -> None:
 
 
 async def noise_on_the_line(plant: Plant) -> None:
-    """Play: requests and answers are lost, damaged, late, split, doubled, by any share; controllers die meanwhile."""
+    """Lose, damage, delay, split, double any share of requests and answers, while controllers die."""
     chance = plant.chance
     plant.start()
     at_work(plant)
@@ -105,7 +105,7 @@ async def noise_on_the_line(plant: Plant) -> None:
 
 
 async def adapter_unplugged(plant: Plant) -> None:
-    """Play this: the adapter is pulled out while motors run, and put back sooner or later."""
+    """Pull the adapter out while motors run, and put it back sooner or later."""
     chance = plant.chance
     plant.start()
     at_work(plant)
@@ -120,7 +120,7 @@ async def adapter_unplugged(plant: Plant) -> None:
 
 
 async def drives_fail(plant: Plant) -> None:
-    """Drives lose their power, are reset, or trip while they run."""
+    """Cut the power of drives, reset or trip them while they run."""
     chance = plant.chance
     plant.start()
     at_work(plant)
@@ -137,7 +137,7 @@ async def drives_fail(plant: Plant) -> None:
 
 
 async def gateway_killed(plant: Plant) -> None:
-    """Play: the gateway is killed, and perhaps started again, while drives go on; controllers live, or do not."""
+    """Kill the gateway, perhaps start it again, while drives go on and controllers live, or do not."""
     chance = plant.chance
     plant.start()
     at_work(plant)
@@ -155,7 +155,7 @@ async def gateway_killed(plant: Plant) -> None:
 
 
 async def broker_fails(plant: Plant) -> None:
-    """Play: the broker is parted from the gateway, ends, doubles what it delivers, keeps what nobody wants kept."""
+    """Part the broker from the gateway, end it, have it double what it delivers and keep what nobody wants."""
     chance = plant.chance
     plant.broker.duplicates = chance.choice((0.0, 0.2, 0.8))
     plant.broker.is_hoarding = chance.random() < 0.3
@@ -188,7 +188,7 @@ def _leave_behind(plant: Plant, ghost: MqttController) -> None:
 
 
 async def two_fight(plant: Plant) -> None:
-    """Two controllers want the same drives; a third one stops them from time to time."""
+    """Let two controllers want the same drives, and a third one stop them from time to time."""
     chance = plant.chance
     plant.start()
     for place in range(2):
@@ -200,7 +200,8 @@ async def two_fight(plant: Plant) -> None:
     third = plant.anybody(7)
     for _ in range(3):
         drive, verb = chance.choice(list(plant.drives)), chance.choice((Verb.STOP, Verb.COAST, Verb.EMERGENCY_STOP))
-        plant.world.after(chance.uniform(*AT_WORK), partial(_ask, third, drive, verb))
+        when = chance.uniform(*AT_WORK)
+        plant.world.after(when, third.stop_line if chance.random() < 0.2 else partial(_ask, third, drive, verb))
     await plant.last(4.5)
     await over(plant)
 
@@ -211,7 +212,7 @@ def _ask(controller: Controller, drive: str, verb: Verb) -> None:
 
 
 async def flood(plant: Plant) -> None:
-    """One source floods a drive while another one has it; a third one stops it in the middle of that."""
+    """Let one source flood a drive while another one has it, and a third one stop it in the middle of that."""
     chance = plant.chance
     plant.start()
     at_work(plant)
@@ -231,7 +232,7 @@ async def flood(plant: Plant) -> None:
 
 
 async def gateway_frozen(plant: Plant) -> None:
-    """Play this: the gateway's process stands still for any time, while its sockets fill and controllers die."""
+    """Let the gateway's process stand still for any time, while its sockets fill and controllers die."""
     chance = plant.chance
     plant.start()
     at_work(plant)
@@ -247,7 +248,7 @@ async def gateway_frozen(plant: Plant) -> None:
 
 
 async def most_drives_dead(plant: Plant) -> None:
-    """Seven of eight drives do not answer; the eighth is still stopped in time."""
+    """Let seven of eight drives be dead: the eighth is still stopped in time."""
     chance = plant.chance
     names = list(plant.drives)
     alive = chance.choice(names)
@@ -268,7 +269,7 @@ async def most_drives_dead(plant: Plant) -> None:
 
 
 async def echo(plant: Plant) -> None:
-    """Play this: the adapter hands back what it sends, all the time or by fits; drives go silent meanwhile."""
+    """Have the adapter hand back what it sends, all the time or by fits, while drives go silent."""
     chance = plant.chance
     plant.start()
     at_work(plant)
@@ -283,7 +284,7 @@ async def echo(plant: Plant) -> None:
 
 
 async def stranger(plant: Plant) -> None:
-    """Play this: a drive of another model answers to the number of one that was switched off."""
+    """Have a drive of another model answer to the number of one that was switched off."""
     chance = plant.chance
     plant.start()
     at_work(plant)
@@ -295,7 +296,7 @@ async def stranger(plant: Plant) -> None:
 
 
 async def terminated(plant: Plant) -> None:
-    """Play this: the gateway is asked to end, in any state; `on_exit` says whether the motors are stopped before."""
+    """Ask the gateway to end, in any state; `on_exit` says whether the motors are stopped before."""
     chance = plant.chance
     plant.start()
     at_work(plant)
@@ -310,7 +311,7 @@ async def terminated(plant: Plant) -> None:
 
 
 async def wall_clock_jumps(plant: Plant) -> None:
-    """Play this: the machine's clock is set; nothing but commands that say when they were issued goes by it."""
+    """Set the machine's clock: nothing but commands that say when they were issued goes by it."""
     chance = plant.chance
     plant.start()
     at_work(plant, by_mqtt=True)
@@ -323,7 +324,7 @@ async def wall_clock_jumps(plant: Plant) -> None:
 
 
 async def all_at_once(plant: Plant) -> None:
-    """Anything goes wrong at any time, one thing upon the other."""
+    """Let anything go wrong at any time, one thing upon the other."""
     plant.start()
     at_work(plant)
     some_die(plant, *AT_WORK, share=0.5)

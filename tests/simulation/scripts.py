@@ -7,7 +7,7 @@ from decimal import Decimal
 
 from gateway.control.command import Verb
 from tests.simulation.controllers import Controller
-from tests.simulation.orders import Order, Script
+from tests.simulation.orders import Script
 
 STATES = ("before take", "taken", "armed", "starting", "running", "changing speed", "stopping")
 STEPS = (Verb.TAKE, Verb.ARM, Verb.RUN)
@@ -48,7 +48,7 @@ def _next(draw: float, hertz: Hertz) -> tuple[Verb, Decimal | None]:
         return Verb.FREQUENCY, hertz()
     if draw < 0.8:
         return Verb.RUN, hertz()
-    return (Verb.STOP, None) if draw < 0.95 else (Verb.COAST, None)
+    return (Verb.STOP if draw < 0.9 else Verb.COAST if draw < 0.95 else Verb.RELEASE), None
 
 
 def up_to(state: str, controller: Controller, drive: str, hertz: Hertz, reached: Callable[[], None]) -> Script:
@@ -79,6 +79,5 @@ def ask_again_and_again(controller: Controller, drive: str, hertz: Hertz, pause:
     chance = controller.chance
     while True:
         verb = chance.choice((Verb.TAKE, Verb.ARM, Verb.RUN, Verb.FREQUENCY, Verb.FREQUENCY, Verb.RELEASE))
-        order: Order = controller.order(drive, verb, hertz() if verb in VALUED else None)
-        del order
+        controller.order(drive, verb, hertz() if verb in VALUED else None)
         yield pause * chance.uniform(0.5, 1.5)

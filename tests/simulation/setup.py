@@ -15,6 +15,7 @@ from gateway.site import SERIAL_MARGIN, Site
 
 GATEWAY = "sim"
 ROOT = f"tosvert/{GATEWAY}"
+LINE = "a"
 BROKER = ("broker", 1883)
 TCP_PORT = 5020
 PROTOCOLS = ("modbus-rtu", "toshiba-ascii", "toshiba-binary")
@@ -99,7 +100,7 @@ class Setup:
                 "reconnect_at_most": "500ms",
             },
             "modbus_tcp": {"listen": f"127.0.0.1:{TCP_PORT}"},
-            "line": [{"name": "a", "port": "/dev/ttyS0", "baud": self.baud, "drive": drives}],
+            "line": [{"name": LINE, "port": "/dev/ttyS0", "baud": self.baud, "drive": drives}],
         }
 
     def line(self, seed: str) -> SimulatedLineConfig:

@@ -46,6 +46,7 @@ class World:
         self.now = START
         self.wall_offset = 0.0  # seconds by which the wall clock was put forward
         self.frozen_until = -math.inf  # the gateway's process stands still before that
+        self.started = START  # when the gateway's process was
         self.naps: list[Nap] = []
         self.before_nap: Action = lambda: None  # takes what the gateway has written so far
         self.looks = 1  # of the gateway at its clock, since the last nap: without any it cannot know of it
