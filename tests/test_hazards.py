@@ -123,10 +123,11 @@ class TestProofs:
         assert prove.judged(REMOVAL, report, [TEST]) == Proof(REMOVAL.digest, (TEST.node,))
 
     def test_tests_with_other_programs_are_run_only_where_a_removal_says_so(self) -> None:
-        """And those of the judge never."""
+        """And those of the judge, or that take long, never."""
         slow, judge = replace(TEST, is_e2e=True), replace(TEST, file="tests/sim/test_x.py")
-        assert prove.tests_of(REMOVAL, [TEST, slow, judge]) == [TEST]
-        assert prove.tests_of(replace(REMOVAL, e2e=True), [TEST, slow, judge]) == [slow]
+        long = replace(TEST, file="tests/simulation/test_x.py")
+        assert prove.tests_of(REMOVAL, [TEST, slow, judge, long]) == [TEST]
+        assert prove.tests_of(replace(REMOVAL, e2e=True), [TEST, slow, judge, long]) == [slow]
 
 
 class TestPage:

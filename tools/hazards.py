@@ -35,7 +35,7 @@ THE_TESTS = """
 ## The tests
 
 A tick marks a test that failed when the rule was taken away. Those without one prove a part of the rule that no
-removal takes away, or need other programs, which the proof does without where it can.
+removal takes away, or need other programs or much time, which the proof does without where it can.
 """
 
 
@@ -113,7 +113,8 @@ def _tests(all_: Sequence[Standing]) -> Iterator[str]:
 def _line(test: MarkedTest, has_failed: bool) -> str:
     name = test.group if test.name == marks.MACHINE else test.name
     sentence = name.removeprefix("test_").replace("_", " ")
-    what = " (real programs)" if test.is_e2e else " (simulated drives)" if test.is_of_the_judge else ""
+    kinds = {"real programs": test.is_e2e, "long play": test.is_long, "simulated drives": test.is_of_the_judge}
+    what = "".join(f" ({kind})" for kind, is_it in kinds.items() if is_it)
     return f"- {'✓ ' if has_failed else ''}{sentence}{what}: `{test.file}`\n"
 
 

@@ -11,6 +11,7 @@ from tools.locks import ROOT
 
 TESTS = ROOT / "tests"
 MACHINE = "runTest"  # the one test of a state machine: `TestX = pytest.mark.hazard("H05")(X.TestCase)`
+LONG = "tests/simulation/"  # long plays of the whole gateway: too long to be played once for each removal
 JUDGES = "tests/sim/"  # tests of the simulated drives, which judge the gateway: they prove no rule of it
 
 
@@ -34,6 +35,11 @@ class MarkedTest:
         """Return the class and the name by which pytest's report calls it, without parameters."""
         module = self.file.removesuffix(".py").replace("/", ".")
         return (f"{module}.{self.group}" if self.group else module), self.name
+
+    @property
+    def is_long(self) -> bool:
+        """Say whether it plays the whole gateway for long."""
+        return self.file.startswith(LONG)
 
     @property
     def is_of_the_judge(self) -> bool:

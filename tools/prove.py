@@ -95,7 +95,7 @@ class Copy:
 def tests_of(removal: Removal, found: Iterable[MarkedTest]) -> list[MarkedTest]:
     """Return the gateway's own tests of a rule that are to fail without it: quick ones, or those with programs."""
     own = [test for test in found if removal.hazard in test.hazards and not test.is_of_the_judge]
-    return [test for test in own if test.is_e2e is removal.e2e]
+    return [test for test in own if test.is_e2e is removal.e2e and not test.is_long]
 
 
 def judged(removal: Removal, report: Report, tests: Iterable[MarkedTest]) -> Proof | str:
