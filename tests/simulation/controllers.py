@@ -125,19 +125,21 @@ class MqttController(Controller):
         self.says_when = self.chance.random() < 0.5
         broker.listen(f"{ROOT}/+/result", self._on_result)
 
-    def payload(self, order: Order) -> bytes:
-        """Return what a command looks like."""
-        table: dict[str, Any] = {"command": order.verb.value, "id": order.id, "source": self.source}
+    @staticmethod
+    def payload_of(order: Order, wall: float | None = None) -> bytes:
+        """Return what a command looks like; `wall` is when it was issued, where it says so."""
+        table: dict[str, Any] = {"command": order.verb.value, "id": order.id, "source": order.source}
         if order.value is not None:
             table["frequency"] = float(order.value)
-        if self.says_when:
-            table["issued"] = datetime.fromtimestamp(order.issued, UTC).isoformat()
+        if wall is not None:
+            table["issued"] = datetime.fromtimestamp(wall, UTC).isoformat()
         return json.dumps(table).encode()
 
     def message(self, order: Order, *, qos: int = 1, is_retained: bool = False) -> Message:
         """Return the message of a command."""
         topic = f"{ROOT}/{order.drive}/command"
-        return Message(topic, self.payload(order), qos, is_retained, tag=lambda: self.arrived(order))
+        payload = self.payload_of(order, order.issued if self.says_when else None)
+        return Message(topic, payload, qos, is_retained, tag=lambda: self.arrived(order))
 
     def _send(self, order: Order, **more: Any) -> None:
         self._broker.publish(self.message(order, **more))

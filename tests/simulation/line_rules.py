@@ -47,6 +47,7 @@ class LineRules:
     oracle: Oracle
     tell: Callable[[str], None]
     known: dict[int, Known] = field(default_factory=dict)
+    unaware: int = 0  # frames that were written by a process that could not know that it had stood still
 
     def know(self, name: str, drive: SimulatedDrive) -> None:
         """Know a drive from now on."""
@@ -106,6 +107,7 @@ class LineRules:
             if known.quiet is not None and self.world.now > known.quiet + self.gap + ROUNDING:
                 self.tell(f"{known.name} is left alone since {known.quiet:.3f}, and yet sent {data.hex(' ')}")
         if not self.world.looks:
+            self.unaware += 1
             return  # it was on its way to the port when the process was stopped: nobody could call it back
         for write in reading.writes:
             self._write(self.known[write.number], write)
@@ -145,6 +147,8 @@ class LineRules:
         order.written += 1
         if order.written > 1:
             self.tell(f"{text} was written {order.written} times for one command")
+        if not order.is_owners:
+            self.tell(f"{text} was written for {order.source}, who did not own the drive")
         begun = now - self.gap - ROUNDING
         if order.delivered < known.stopped < begun:
             self.tell(f"{text} was written, and is older than the last stop")

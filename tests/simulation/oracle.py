@@ -105,12 +105,13 @@ class Oracle:
             return
         self.look_at(watched)
         permission, now = watched.permission, self.world.now
+        order.is_owners = order.source == permission.owner and now < permission.until
         is_free = permission.until <= now or not permission.owner
         if order.verb is Verb.TAKE and (is_free or permission.owner == order.source):
             self._take(order, permission)
         elif order.verb.is_stopping:
             permission.runs = False
-        elif order.source == permission.owner and now < permission.until:
+        elif order.is_owners:
             permission.until = now + permission.lease
             permission.runs |= order.verb in RUNNING
             if order.verb is Verb.RELEASE:

@@ -21,6 +21,7 @@ class Order:
     value: Decimal | None = None
     issued: float = 0.0
     delivered: float | None = None
+    is_owners: bool = False  # whoever asked had the lease when it reached the gateway
     written: int = 0  # how often its setpoint was written to the line
     status: str = ""
     reason: str = ""

@@ -121,8 +121,10 @@ class Plant:
         for drive in self.strangers:
             if drive.inverter.operation.is_running or drive.inverter.memory.eeprom_writes:
                 self.tell(f"a stranger with the number {drive.number} was commanded")
-        if self.wire.statistics.gap_violations:
+        if self.wire.statistics.gap_violations > self.line_rules.unaware:
             self.tell(f"{self.wire.statistics.gap_violations} frames began before 3.5 characters of silence")
+        self.port.sever()
+        self.network.sever()
 
     # ---- what the parts tell
 
@@ -151,8 +153,8 @@ class Plant:
 
     def heard(self, order: Order) -> None:
         """Take a command that is in the gateway's socket."""
-        self.line_rules.heard(order)
         self.oracle.heard(order)
+        self.line_rules.heard(order)
 
     # ---- controllers
 

@@ -11,9 +11,11 @@ from gateway.control.command import Verb
 from gateway.sim.condition import TripCode
 from gateway.sim.faults import Fault, Kind
 from tests.simulation import scripts
+from tests.simulation.broker import Message
 from tests.simulation.controllers import Controller, MqttController
+from tests.simulation.orders import Order
 from tests.simulation.plant import Plant
-from tests.simulation.setup import Setup, drawn
+from tests.simulation.setup import ROOT, Setup, drawn
 
 SETTLING = 1.0  # seconds beyond the last bound, in which nothing may start again
 AT_WORK = (1.0, 4.0)  # seconds after the start, between which most things happen
@@ -160,9 +162,7 @@ async def broker_fails(plant: Plant) -> None:
     plant.broker.duplicates = chance.choice((0.0, 0.2, 0.8))
     plant.broker.is_hoarding = chance.random() < 0.3
     plant.network.latency = chance.choice((0.001, 0.01, 0.1))
-    ghost = plant.mqtt("ghost")
-    ghost.die()
-    _leave_behind(plant, ghost)
+    _leave_behind(plant)
     plant.start()
     at_work(plant, by_mqtt=True)
     some_die(plant, *AT_WORK)
@@ -178,13 +178,12 @@ async def broker_fails(plant: Plant) -> None:
     await over(plant)
 
 
-def _leave_behind(plant: Plant, ghost: MqttController) -> None:
-    """Have the broker keep run commands of somebody who is gone."""
-    for drive in plant.drives:
-        for verb in (Verb.TAKE, Verb.ARM, Verb.RUN):
-            order = ghost.order(drive, verb, plant.hertz() if verb is Verb.RUN else None)
-            message = ghost.message(order, is_retained=True)
-            plant.broker.publish(message)
+def _leave_behind(plant: Plant) -> None:
+    """Have the broker keep run commands, from days when there were controllers of the same names."""
+    for place, drive in enumerate(plant.drives):
+        order = Order(f"scada-{place}", drive, Verb.RUN, f"kept-{place}", plant.hertz())
+        ghost = MqttController.payload_of(order)
+        plant.broker.publish(Message(f"{ROOT}/{drive}/command", ghost, 1, is_retained=True))
 
 
 async def two_fight(plant: Plant) -> None:

@@ -27,10 +27,16 @@ def insist(controller: Controller, drive: str, verb: Verb, hertz: Hertz) -> Scri
 
 
 def operate(controller: Controller, drive: str, hertz: Hertz) -> Script:
-    """Run a drive, and change what it does, again and again; whatever is refused is begun anew."""
+    """Run a drive, and change what it does, again and again; whatever is refused is begun anew.
+
+    Now and then a step is left out, which is to be refused.
+    """
     chance = controller.chance
     while True:
+        left_out = chance.choice(STEPS) if chance.random() < 0.15 else None
         for verb in STEPS:
+            if verb is left_out:
+                continue
             order = controller.order(drive, verb, hertz() if verb in VALUED else None)
             yield order
             if not order.is_done:

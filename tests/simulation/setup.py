@@ -142,6 +142,7 @@ def drawn(chance: Random) -> Setup:
         version=chance.choice(("5", "3.1.1")),
         poll=chance.choice((0.4, 0.7, 1.0)),
         is_as_shipped=chance.random() < 0.15,
+        command_timeout=chance.choice((0.2, 0.4, 1.0, 1.0)),
     )
 
 
