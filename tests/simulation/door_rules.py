@@ -103,7 +103,7 @@ class DoorRules:
     def look(self, app: App) -> None:
         """Look at what is shown, and at what waits."""
         now, limit = self.world.now, self.setup.max_age + self.setup.exchange
-        for image in app.image.drives:
+        for image in app.image.drives if now > self.world.napped + 2 * self.setup.poll else ():
             age = now - self.answered.get(image.drive.number, float("-inf"))
             if age <= limit:
                 continue

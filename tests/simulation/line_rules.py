@@ -106,7 +106,7 @@ class LineRules:
             known = self.known[number]
             if known.quiet is not None and self.world.now > known.quiet + self.gap + ROUNDING:
                 self.tell(f"{known.name} is left alone since {known.quiet:.3f}, and yet sent {data.hex(' ')}")
-        if not self.world.looks:
+        if not self.world.looks_at_write:
             self.unaware += 1
             return  # it was on its way to the port when the process was stopped: nobody could call it back
         for write in reading.writes:

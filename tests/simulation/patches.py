@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
 import socket
 import threading
 from collections.abc import Iterator
@@ -41,11 +42,18 @@ _load = catalogue.load
 def applied(world: World, network: Network) -> Iterator[None]:
     """Let the gateway live in a world, in this thread; its log is not kept."""
     collector = SimpleNamespace(collect=lambda: 0, freeze=lambda: None)  # the process is not the gateway's alone
+    write = os.write
+
+    def noting(descriptor: int, data: bytes) -> int:
+        world.looks_at_write = world.looks
+        return write(descriptor, data)
+
     with (
         mock.patch.object(paho.mqtt.client, "time_func", lambda: world.now),  # noqa: PT008 - the time goes on
         mock.patch.object(socket, "create_connection", network.create_connection),
         mock.patch.object(threading, "Thread", AtOnce),
         mock.patch.object(gateway.app, "gc", collector),
+        mock.patch.object(os, "write", noting),
     ):
         before = logging.root.manager.disable
         logging.disable(logging.CRITICAL)

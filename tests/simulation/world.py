@@ -50,6 +50,8 @@ class World:
         self.naps: list[Nap] = []
         self.before_nap: Action = lambda: None  # takes what the gateway has written so far
         self.looks = 1  # of the gateway at its clock, since the last nap: without any it cannot know of it
+        self.looks_at_write = 1  # the same, when it wrote to the line last
+        self.napped = -math.inf  # when the last nap was over
         self._seen = START
         self._still = 0
         self.has_sent = False  # something to the gateway, which is then to be looked for at once
@@ -114,7 +116,7 @@ class World:
         self.freeze(nap.seconds)
         while self.now < self.frozen_until:
             self.advance(self.frozen_until)
-        self.looks = int(nap.is_before)
+        self.looks, self.napped = int(nap.is_before), self.now
         return self.now if nap.is_before else before
 
     def wall(self) -> float:
