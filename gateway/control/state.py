@@ -92,6 +92,7 @@ class Queue:
             return False
         if len(self.head.joined) >= WAITING:
             raise NotAdmitted(Reason.BUSY, f"{WAITING} equal stops wait for this drive already; it is being stopped")
+        self.clear_but_stops(Reason.STOPPED, f"{command.verb} came from {command.source}")
         self.head.joined.append((command, answer))
         return True
 
