@@ -21,6 +21,10 @@ class NoReply(GatewayError):
     """Silence: retry, and count it against the drive's link."""
 
 
+class TooLate(GatewayError):
+    """The line was not free in time: nothing was sent, and nothing is to be sent later."""
+
+
 class BadReply(GatewayError):
     """Bytes that are no answer to the request: drain until silence, then as for silence."""
 

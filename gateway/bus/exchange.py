@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 from dataclasses import dataclass
 
 from gateway.bus.line import Line
@@ -58,15 +59,17 @@ class Exchanger:
         with contextlib.suppress(BadReply):
             await self._line.quiet()
 
-    async def exchange(self, codec: Codec, request: Request, processing: float) -> Answered:
-        """Send a request and return its answer.
+    async def exchange(
+        self, codec: Codec, request: Request, processing: float, not_after: float = math.inf
+    ) -> Answered:
+        """Send a request, not after a time (monotonic seconds), and return its answer.
 
         NoReply: silence. BadReply: other bytes came. Refused: the drive said no. After the first two the line
-        has been drained. LineDown and NoSuchForm pass through; after the latter nothing was sent.
+        has been drained. LineDown, NoSuchForm and TooLate pass through; after the latter two nothing was sent.
         """
         frame = codec.encode(request)
         answering = codec.answering(request)
-        begun = await self._line.write(frame)
+        begun = await self._line.write(frame, not_after)
         if is_traced := frames.isEnabledFor(logging.DEBUG):
             frames.debug("tx %s", frame.hex(" "))
         self._stats.exchanges += 1

@@ -7,12 +7,15 @@ from dataclasses import dataclass
 
 from gateway.bus.blocks import PlannedRead
 from gateway.bus.work import Task, Work
-from gateway.drives.register import Register
+from gateway.drives.register import Kind, Register
+from gateway.errors import Refusal
 from gateway.protocol.pdu import Identify, Identity, ReadWords
 from gateway.site import Drive
 
 SERIES = "series_code"  # FB07
-IDENTITY_REGISTERS = ("capacity_code", "cpu_version", SERIES)  # FB05, FE08, FB07
+CAPACITY = "capacity_code"  # FB05
+IDENTITY_REGISTERS = (CAPACITY, "cpu_version", SERIES)  # FB05, FE08, FB07
+FOREIGN = "foreign_"  # begins the name of a number that tells another model
 
 
 @dataclass(slots=True)
@@ -52,10 +55,21 @@ class Identification:
         """Begin anew with a drive that was lost; one that has answered 2BH is still asked nothing else."""
         return Identification(self.drive, _knows_2bh=self._knows_2bh)
 
-    def refused(self, work: Work) -> None:
-        """Take note that the drive refuses the question."""
-        if work.read is not None and work.read.registers[0].name == SERIES:
+    def refused(self, work: Work, reason: Refusal) -> None:
+        """Take note that the drive refuses the question, or a register that tells who it is."""
+        if work.read is not None and work.read.registers[0].name == SERIES and reason is Refusal.ADDRESS:
             self._has_no_series = True
+
+    @property
+    def signs(self) -> tuple[Register, ...]:
+        """Return what else is to be read because nothing sure is known: numbers that tell another model."""
+        model = self.drive.model
+        if self.identity is not None or (model.series_code is not None and not self._has_no_series):
+            return ()
+        return tuple(
+            Register(f"{FOREIGN}{sign.address:04X}", sign.address, Kind.STATUS, model.source, sign.means)
+            for sign in model.foreign
+        )
 
     def is_stranger(self, identity: Identity) -> str:
         """Take who a drive says it is; say why it is not the one configured, "" where it is."""
@@ -67,15 +81,22 @@ class Identification:
         self.identity = identity
         return ""
 
-    def is_other_series(self, register: Register, word: int) -> str:
+    def is_other_model(self, register: Register, word: int) -> str:
         """Say why the word of a plain read is not of the model configured, "" where it may be.
 
-        The manual prints the code without saying whether it is hexadecimal; 0 says nothing.
+        The manual prints the series code without saying whether it is hexadecimal; 0 says nothing, as a series
+        code and as a capacity code that the model has not got.
         """
         model = self.drive.model
-        if register.name != SERIES or word in (0, model.series_code, int(str(model.series_code), 16)):
-            return ""
-        return f"identity mismatch: {model.name} has series code {model.series_code}, {word} answers"
+        told = ""
+        if register.name == SERIES and word not in (0, model.series_code, int(str(model.series_code), 16)):
+            told = f"{model.name} has series code {model.series_code}, {word} answers"
+        elif register.name == CAPACITY and self.identity is None and model.capacities:
+            told = "" if word in (0, *model.capacities) else f"{model.name} has no capacity code {word} (FB05)"
+        elif register.name.startswith(FOREIGN):
+            words = next(sign.words for sign in model.foreign if sign.address == register.address)
+            told = f"{model.name} is configured, {register.title} answers" if not words or word in words else ""
+        return f"identity mismatch: {told}" if told else ""
 
     def described(self, facts: Mapping[str, int]) -> Mapping[str, str]:
         """Return who the drive is, in words, for people."""
@@ -83,7 +104,7 @@ class Identification:
         if self.identity is not None:
             who = self.identity
             told = {"vendor": who.vendor, "device": who.device, "version": who.version}
-        capacity = facts.get("capacity_code")
+        capacity = facts.get(CAPACITY)
         if capacity is not None:
             told["type_form"] = self.drive.model.capacities.get(capacity, f"code {capacity}")
         if "cpu_version" in facts:

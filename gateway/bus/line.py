@@ -17,10 +17,11 @@ class Line(Protocol):
         """Wait for the gap; BadReply where the line does not become quiet within a second."""
         ...
 
-    async def write(self, frame: bytes) -> float:
+    async def write(self, frame: bytes, not_after: float = ...) -> float:
         """Wait for the gap, discard what has arrived, send; return when the first bit left (monotonic).
 
-        BadReply where the line does not become quiet within a second.
+        BadReply where the line does not become quiet within a second; TooLate where it is free only after
+        `not_after` (monotonic seconds): nothing was sent then.
         """
         ...
 

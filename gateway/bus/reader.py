@@ -79,6 +79,11 @@ class DriveReader:
         """Return the question who is there."""
         return self._who.ask(is_set_up=self.is_set_up)
 
+    @property
+    def is_doubtful(self) -> bool:
+        """Say whether somebody answers, and what would tell another model is still to be asked."""
+        return any(sign in self._missing for sign in self._who.signs)
+
     def on_reply(self, work: Work, reply: Reply, now: float) -> Learnt:
         """Take an answer."""
         match work.task, reply:
@@ -119,7 +124,7 @@ class DriveReader:
 
     def _answers(self, register: Register, word: int, now: float) -> Learnt:
         """Take a plain read as the sign that somebody is there; the series code says who."""
-        stranger = self._who.is_other_series(register, word)
+        stranger = self._who.is_other_model(register, word)
         return self._stranger(stranger) if stranger else self._resumed(now)
 
     def _stranger(self, reason: str) -> Learnt:
@@ -168,7 +173,7 @@ class DriveReader:
         names = (*IDENTITY_REGISTERS, *((BLOCK_MODE, RESET_MARK) if self._planner.has_block else ()))
         wanted = control_registers(self.drive)
         wanted += [model.registers[name] for name in names if name in model.registers]
-        wanted += [*self._selector_registers(), *self.drive.bases]
+        wanted += [*self._selector_registers(), *self.drive.bases, *self._who.signs]
         self._proof.propose(self.able.mapping, first=True)
         self.able = replace(self.able, mapping=None)
         self._missing = list({register.name: register for register in wanted}.values())
@@ -184,7 +189,8 @@ class DriveReader:
     def _next_fact(self, now: float, notes: Sequence[str] = ()) -> Learnt:
         if not self._missing:
             return self._next_provision(now, notes)
-        read = self._planner.plan(self._missing, self.able)[0]
+        signs = [register for register in self._missing if register in self._who.signs]
+        read = self._planner.plan(signs or self._missing, self.able)[0]
         return Learnt(jobs=[self._at_once(Work(Task.FACT, read.request, read), now)], notes=list(notes))
 
     def _at_once(self, work: Work, now: float) -> Job[Work]:
@@ -194,13 +200,17 @@ class DriveReader:
 
     def _fact(self, read: PlannedRead, words: Sequence[int], now: float) -> Learnt:
         doubtful = {register.name for register in read.doubtful(words)}
+        told = set()
         for register, word in zip(read.carries, words, strict=True):
-            if register is not None and register.name not in doubtful:
-                if stranger := self._who.is_other_series(register, word):
-                    return self._stranger(stranger)
+            if register is None or register.name in doubtful:
+                continue
+            told.add(register.name)
+            if stranger := self._who.is_other_model(register, word):
+                return self._stranger(stranger)
+            if register.name in self.drive.model.registers:
                 self.facts[register.name] = word & register.mask
+        self._missing = [register for register in self._missing if register.name not in told]
         self.able = replace(self.able, only_single=self.able.only_single | doubtful)
-        self._missing = [r for r in self._missing if r.name not in self.facts]
         return self._next_fact(now)
 
     def _next_provision(self, now: float, notes: Sequence[str] = ()) -> Learnt:
@@ -520,7 +530,7 @@ class DriveReader:
         """Take a refusal of what was sent: remember it, and serve the values another way."""
         match work:
             case Work(Task.IDENTIFY):
-                self._who.refused(work)
+                self._who.refused(work, refused.reason)
                 return Learnt(is_ready=True) if self.is_set_up else self._set_up(now)
             case Work(Task.PROVISION, register=Register() as register):
                 return self._not_provisioned(register, refused, now)
@@ -564,7 +574,10 @@ class DriveReader:
     def _fact_refused(self, read: PlannedRead, refused: Refused, now: float) -> Learnt:
         if read.is_direct_block:
             return self._next_fact(now, [self._no_direct(read.request, refused)])
+        known = self._who.signs
+        self._who.refused(Work(Task.FACT, read.request, read), refused.reason)
         self._missing.remove(read.registers[0])
+        self._missing += [sign for sign in self._who.signs if sign not in known]
         return self._next_fact(now)
 
     def _no_direct(self, request: Request, refused: Refused) -> str:

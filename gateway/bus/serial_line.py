@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import os
 import socket
 import termios
@@ -14,7 +15,7 @@ import serial
 from gateway import site
 from gateway.clock import Clock
 from gateway.config import address
-from gateway.errors import BadReply, LineDown
+from gateway.errors import BadReply, LineDown, TooLate
 from gateway.protocol.timing import LineTiming
 
 READ_SIZE = 4096  # bytes taken from the port at once; an answer has at most 64
@@ -149,11 +150,13 @@ class DescriptorLine:
             await self._alarm.wait_until(when)  # what arrives meanwhile moves the end of the gap
             self._check()
 
-    async def write(self, frame: bytes) -> float:
+    async def write(self, frame: bytes, not_after: float = math.inf) -> float:
         """Wait for the gap, discard what has arrived, send; return when the first bit left (monotonic)."""
         await self.quiet()
         self._arrived.clear()
         begun = self._clock.now()
+        if begun > not_after:
+            raise TooLate(f"{self.name}: the line was free too late")
         try:
             sent = os.write(self._fd, frame)
         except OSError as error:

@@ -21,7 +21,7 @@ from gateway.clock import Clock
 from gateway.control.composing import COMMAND
 from gateway.control.drive_control import DriveControl
 from gateway.control.state import Errand
-from gateway.errors import BadReply, LineDown, NoReply, Refusal, Refused
+from gateway.errors import BadReply, LineDown, NoReply, Refusal, Refused, TooLate
 from gateway.image import DriveImage, LinkState
 from gateway.metrics import DriveStats, LineStats
 from gateway.protocol.pdu import EVERY_DRIVE, ReadWords, Request, Words, WriteRam, WriteStored
@@ -263,7 +263,12 @@ class LineWorker:
         if isinstance(request, WriteStored):
             station.stats.eeprom_writes[request.address] += 1
         try:
-            answered = await exchanger.exchange(station.drive.codec, request, station.processing_of(request))
+            answered = await exchanger.exchange(
+                station.drive.codec, request, station.processing_of(request), errand.not_after
+            )
+        except TooLate:
+            station.stats.exchanges -= 1
+            control.on_too_late(errand, self._clock.now())
         except (NoReply, BadReply) as error:
             self._count(station, error)
             self._hear(station, Heard.SILENCE, str(error))
@@ -495,7 +500,7 @@ class LineWorker:
             control.on_online(facts, model.trip_signs(found), now)
         elif state in LOST:
             control.on_offline(reason, now)
-        elif is_reply:
+        elif is_reply and not station.reader.is_doubtful:
             control.on_heard(now)
         self._watch(station)
 

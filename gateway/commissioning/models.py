@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from gateway.bus.identification import SERIES, Identification
+from gateway.bus.identification import CAPACITY, SERIES, Identification
 from gateway.bus.session import Session
-from gateway.commissioning.recognition import CAPACITY, addresses, mismatch
+from gateway.commissioning.recognition import addresses, mismatch
 from gateway.commissioning.targets import Target
 from gateway.drives.register import Kind, Register
 from gateway.errors import BadConfig, BadReply, GatewayError, NoReply, Refusal, Refused

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-from gateway.bus.identification import IDENTITY_REGISTERS, SERIES
+from gateway.bus.identification import CAPACITY, IDENTITY_REGISTERS, SERIES
 from gateway.drives.model import Model
 from gateway.protocol.pdu import Identity
-
-CAPACITY = "capacity_code"  # FB05
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,8 +6,8 @@ import json
 from collections.abc import Iterator, Sequence
 
 from gateway.bus.groups import MODBUS
+from gateway.bus.identification import CAPACITY
 from gateway.commissioning.findings import Found, Result
-from gateway.commissioning.recognition import CAPACITY
 from gateway.commissioning.scan_plan import Setting
 
 UNITS = range(1, 248)  # MODBUS-TCP unit ids

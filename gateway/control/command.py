@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from enum import StrEnum
 
@@ -127,6 +127,13 @@ class Command:
     name: str = ""
     address: int = 0
     words: tuple[int, ...] = ()
+
+    def older_by(self, seconds: float) -> Command:
+        """Return it as it is if it has lain unread for so long: its time began, and ends, that much sooner."""
+        if seconds <= 0:
+            return self
+        deadline = self.deadline if self.verb.is_stopping else self.deadline - seconds
+        return replace(self, received=self.received - seconds, deadline=deadline)
 
 
 @dataclass(frozen=True, slots=True)

@@ -96,11 +96,12 @@ class Door:
             self._refuse_unknown(command, answer)
             return
         now = self.clock.now()
-        if not command.verb.is_stopping and self._stood_still(now) > command.deadline - command.received:
+        aged = command.older_by(command.received - self.since(now))
+        if not command.verb.is_stopping and now > aged.deadline:
             control.tick(now)
             self._refuse(command, answer, Reason.EXPIRED, "it may have lain here while the gateway stood still")
         else:
-            control.submit(command, self._answering(answer), now)
+            control.submit(aged, self._answering(answer), now)
         self._ring(command.drive)
 
     def since(self, now: float) -> float:

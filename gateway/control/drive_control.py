@@ -191,7 +191,7 @@ class DriveControl:
         else:
             self._check_owner(command, now)
             self._check_armable()
-            self.lease.renew(now)
+            self.lease.renew(min(now, command.received))
             marking = self.resets.marking(command, answer, self._arm)
             if marking is not None:
                 self.state.queue.put(marking)
@@ -205,7 +205,7 @@ class DriveControl:
         if self.standing in (Standing.LOST, Standing.QUIET):
             raise NotAdmitted(Reason.BUSY, f"the drive is {self.standing.value}: {self.reason}")
         is_new = self.lease.owner is None
-        if not self.lease.take(command.source, now):
+        if not self.lease.take(command.source, min(now, command.received)):
             raise NotAdmitted(Reason.NOT_OWNER, self._owner_text(now))
         self.loss.taken()
         if is_new:
@@ -378,6 +378,12 @@ class DriveControl:
             return
         execution.sending()
         self.state.may_move |= execution.is_at_motion
+
+    def on_too_late(self, errand: Errand, now: float) -> None:
+        """Take that the frame did not leave: its deadline passed while the line was busy (SAFETY.md H11)."""
+        if errand.execution is not None:
+            errand.execution.too_late(now)
+            self._settle(errand.execution)
 
     def on_reply(self, errand: Errand, reply: Reply | None, now: float) -> None:
         """Take an answer; None where none was to be expected."""

@@ -5,6 +5,7 @@ Pure: it is told what was answered, refused or not answered, and asks for nothin
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -52,6 +53,7 @@ class Execution:
     read_back: dict[str, int] = field(default_factory=dict)
     status: Status | None = None
     joined: list[tuple[Command, Answer]] = field(default_factory=list)  # equal stops that came meanwhile
+    _was_sent_before: bool = False  # before the frame that is leaving now
     _place: int = 0
     _silent: str = ""
     _silences: int = 0
@@ -88,6 +90,12 @@ class Execution:
     def has_stopped(self) -> bool:
         """Say whether the drive was seen to have taken the stop."""
         return self.is_stop and (self.is_done or self._place > 0)
+
+    @property
+    def not_after(self) -> float:
+        """Return until when its next frame may be sent, in monotonic seconds: reading back may be later."""
+        is_writing = self.phase is Phase.WRITING and not self.is_insistent
+        return self.command.deadline if is_writing else math.inf
 
     @property
     def is_at_motion(self) -> bool:
@@ -148,7 +156,13 @@ class Execution:
 
     def sending(self) -> None:
         """Take note that the frame of `next` leaves now."""
+        self._was_sent_before = self.was_sent
         self.was_sent |= self.phase is Phase.WRITING
+
+    def too_late(self, now: float) -> None:
+        """Take that the frame did not leave after all: the line was not free in time."""
+        self.was_sent = self._was_sent_before
+        self.look_at(now)
 
     def on_reply(self, reply: Reply | None) -> None:
         """Take an answer; None where no answer was to be expected."""

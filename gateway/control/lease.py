@@ -33,8 +33,8 @@ class Lease:
         if self.is_over(now) or self.owner not in (None, source):
             return False
         if self.owner is None:
-            self._beat = None
-        self.owner, self.until = source, now + self.duration
+            self._beat, self.until = None, now
+        self.owner, self.until = source, max(self.until, now + self.duration)
         return True
 
     def renew(self, now: float) -> None:

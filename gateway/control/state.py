@@ -5,6 +5,7 @@ Pure. Times are monotonic seconds.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -42,6 +43,11 @@ class Errand:
     request: Request
     execution: Execution | None = None
     look: Register | None = None
+
+    @property
+    def not_after(self) -> float:
+        """Return until when it may be sent (SAFETY.md H11)."""
+        return self.execution.not_after if self.execution is not None else math.inf
 
     @property
     def is_stop(self) -> bool:

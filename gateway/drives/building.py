@@ -14,7 +14,7 @@ from gateway.drives.catalogue_file import (
     RegisterEntry,
     TimesEntry,
 )
-from gateway.drives.model import BlockForms, Cautions, Connector, DriveTimes, Model
+from gateway.drives.model import BlockForms, Cautions, Connector, DriveTimes, Foreign, Model
 from gateway.drives.register import Derived, Enumeration, Kind, Register, Storage
 from gateway.drives.scaling import Scaling
 
@@ -30,6 +30,7 @@ def build(file: CatalogueFile, models: Mapping[str, Model]) -> tuple[Model | Non
     model = replace(
         base,
         registers=registers,
+        foreign=base.foreign + tuple(Foreign(f.address, frozenset(f.words), f.means) for f in file.foreign),
         times=_times(file.times, base.times),
         blocks=_blocks(file.blocks) if file.blocks else base.blocks,
         connectors=base.connectors + tuple(map(_connector, file.connector)),

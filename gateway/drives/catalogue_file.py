@@ -163,11 +163,21 @@ class ModelHead(Entry):
     series_code: Word | None = None
 
 
+class ForeignEntry(Entry):
+    """[[foreign]]: a number that tells a drive of another model; without `words` by its being known at all."""
+
+    address: Word
+    words: list[Word] = []
+    means: Text
+    source: Text
+
+
 class CatalogueFile(Entry):
     """One file: a whole model under [model], or what `extend = "model-name"` adds to one."""
 
     model: ModelHead | None = None
     extend: ModelName | None = None
+    foreign: list[ForeignEntry] = []
     times: TimesEntry | None = None
     blocks: BlocksEntry | None = None
     connector: list[ConnectorEntry] = []

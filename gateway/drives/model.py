@@ -67,12 +67,25 @@ class Cautions:
 
 
 @dataclass(frozen=True, slots=True)
+class Foreign:
+    """A communication number by which a drive tells that it is of another model, where nothing else tells who it is.
+
+    Without `words` whoever knows the number is another model; with them whoever answers one of them.
+    """
+
+    address: int
+    words: frozenset[int] = frozenset()
+    means: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Model:
     """One drive model of the catalogue.
 
     `identity` begins the device reference that a drive of this model answers to 2BH; empty where unknown.
-    `read_selectors` and `write_selectors` map the value of a block selector to a register name ("" for none).
-    `capacities` names the type form for each FB05 code. `profile` is what to poll when nobody says.
+    `foreign` are numbers that tell another model. `read_selectors` and `write_selectors` map the value of a block
+    selector to a register name ("" for none). `capacities` names the type form for each FB05 code. `profile` is
+    what to poll when nobody says.
     """
 
     name: str
@@ -81,6 +94,7 @@ class Model:
     registers: Mapping[str, Register]
     identity: str = ""
     series_code: int | None = None
+    foreign: tuple[Foreign, ...] = ()
     times: DriveTimes = field(default_factory=DriveTimes)
     blocks: BlockForms = field(default_factory=BlockForms)
     connectors: tuple[Connector, ...] = ()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 from gateway.clock import Clock
-from gateway.errors import BadReply, LineDown
+from gateway.errors import BadReply, LineDown, TooLate
 from gateway.protocol.timing import LineTiming
 from gateway.sim.wire import Wire
 
@@ -34,11 +36,13 @@ class TwinLine:
             await self._alarm.wait_until(when)  # what arrives meanwhile moves the end of the gap
             self._collect()
 
-    async def write(self, frame: bytes) -> float:
+    async def write(self, frame: bytes, not_after: float = math.inf) -> float:
         """Wait for the gap, discard what has arrived, send; return when the first bit left (monotonic)."""
         await self.quiet()
         self._arrived.clear()
         begun = self._clock.now()
+        if begun > not_after:
+            raise TooLate("the simulated line was free too late")
         self.wire.feed(frame, begun)
         self._quiet_since = begun + self._timing.request(len(frame))
         return begun

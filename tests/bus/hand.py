@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -46,10 +47,10 @@ class HeardLine(TwinLine):
         super().__init__(wire, line.timing, clock)
         self._ear = ear
 
-    async def write(self, frame: bytes) -> float:
+    async def write(self, frame: bytes, not_after: float = math.inf) -> float:
         """Let the ear hear the frame, and send it."""
         self._ear.hear(frame, self.wire)
-        return await super().write(frame)
+        return await super().write(frame, not_after)
 
 
 @dataclass

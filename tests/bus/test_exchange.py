@@ -7,7 +7,7 @@ from random import Random
 import pytest
 
 from gateway.bus.exchange import Exchanger
-from gateway.errors import NoReply
+from gateway.errors import NoReply, TooLate
 from gateway.metrics import LineStats
 from gateway.protocol.pdu import ReadWords, WriteRam, Written
 from gateway.protocol.registry import PROTOCOLS
@@ -62,5 +62,23 @@ def test_behind_an_echo_the_drives_own_answer_is_found(protocol: str) -> None:
             assert written.done - written.sent >= made.configured.lines[0].timing.gap
             read = await exchanger.exchange(codec, ReadWords(1, FREQUENCY_COMMAND, 1), PROCESSING)
             assert getattr(read.reply, "words", None) == (word,)
+
+    virtual.run(main())
+
+
+@pytest.mark.hazard("H11")
+def test_a_frame_whose_time_passes_while_the_line_is_busy_does_not_leave() -> None:
+    """The gap behind the last answer ends after it: nothing is on the wire; without a limit it goes."""
+
+    async def main() -> None:
+        made, exchanger, _ = await line_of("modbus-rtu")
+        codec, write = PROTOCOLS["modbus-rtu"], WriteRam(1, FREQUENCY_COMMAND, 3000)
+        last = await exchanger.exchange(codec, ReadWords(1, FREQUENCY_COMMAND, 1), PROCESSING)
+        with pytest.raises(TooLate):
+            await exchanger.exchange(codec, write, PROCESSING, not_after=last.done)
+        assert made.wire.statistics.requests == 1
+        in_time = last.done + 2 * made.configured.lines[0].timing.gap
+        await exchanger.exchange(codec, write, PROCESSING, not_after=in_time)
+        assert made.wire.statistics.requests == 2
 
     virtual.run(main())

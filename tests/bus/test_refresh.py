@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from decimal import Decimal
 from functools import cache
@@ -253,7 +254,7 @@ class ScriptedLine:
     async def quiet(self) -> None:
         """Be quiet at once."""
 
-    async def write(self, frame: bytes) -> float:
+    async def write(self, frame: bytes, _not_after: float = math.inf) -> float:
         """Wait for the gap, then send."""
         await self._alarm.wait_until(self._clock.now() + self._timing.gap)
         begun = self._clock.now()

@@ -108,6 +108,50 @@ def test_another_series_is_a_stranger(protocol: str) -> None:
     run(lambda: one(protocol), play)
 
 
+@pytest.mark.hazard("H07")
+@pytest.mark.parametrize("protocol", TOSHIBA)
+@pytest.mark.parametrize(
+    ("configured", "there", "capacity", "says"),
+    [
+        ("vf-nc3", "vf-mb1", "VFMB1S-2007PL", "VF-MB1: its input VIC answers"),
+        ("vf-nc3", "vf-mb1", "VFMB1-4007PL", "identity mismatch"),
+        ("vf-mb1", "vf-nc3", "VFnC3S-2007PL", "VF-nC3: its series code answers"),
+        ("vf-mb1", "vf-nc3", "VFnC3S-1001P", "identity mismatch"),
+    ],
+)
+def test_the_other_family_is_a_stranger(configured: str, there: str, capacity: str, says: str, protocol: str) -> None:
+    """Told by FB07, by what the other one alone knows, and by FB05; also where both have the capacity code."""
+
+    async def play(stage: Bench) -> None:
+        await asyncio.sleep(3.0)
+        assert stage.link("d1") is LinkState.STRANGER
+        assert says in stage.image.by_name["d1"].reason
+        assert stage.value("d1", "output_frequency") == "never_read"
+
+    simulated = {"number": 1, "model": there, "configured": configured, "protocol": "toshiba", "capacity": capacity}
+    run(lambda: bench([simulated], drive={"protocol": protocol}), play)
+
+
+@pytest.mark.parametrize("protocol", TOSHIBA)
+@pytest.mark.parametrize("model", ["vf-nc3", "vf-mb1"])
+def test_a_drive_that_knows_no_series_code_is_believed_where_nothing_speaks_against_it(
+    model: str, protocol: str
+) -> None:
+    """A master that has not got FB07, FB05 and FE08 must still be able to be read: a refusal proves nothing alone."""
+
+    async def play(stage: Bench) -> None:
+        await asyncio.sleep(3.0)
+        assert stage.link("d1") is LinkState.ONLINE
+
+    def made() -> Bench:
+        stage = bench([{"number": 1, "model": model, "protocol": "toshiba"}], drive={"protocol": protocol})
+        for address in (0xFB05, 0xFB07, 0xFE08):
+            stage.wire.drives[0].inverter.memory._by_address.pop(address, None)
+        return stage
+
+    run(made, play)
+
+
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_bad_line_brings_no_wrong_value(protocol: str, seed: int) -> None:

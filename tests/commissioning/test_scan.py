@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -34,10 +35,10 @@ class Deaf(HeardLine):
         super().__init__(wire, line, clock, ear)
         self._is_right = is_right
 
-    async def write(self, frame: bytes) -> float:
+    async def write(self, frame: bytes, not_after: float = math.inf) -> float:
         """Send what nobody hears, at the wrong setting."""
         if self._is_right:
-            return await super().write(frame)
+            return await super().write(frame, not_after)
         self._ear.frames.append(frame)
         return self._clock.now()
 

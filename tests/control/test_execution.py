@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from decimal import Decimal
 
 import pytest
@@ -118,6 +119,33 @@ def test_nothing_is_written_after_the_deadline() -> None:
     played.execution.on_reply(Written())
     assert played.sent(1.01 + READING_LATER) is None
     assert played.end == (Status.UNKNOWN, Reason.EXPIRED)
+
+
+@pytest.mark.hazard("H11")
+def test_a_frame_that_did_not_leave_in_time_was_not_sent() -> None:
+    """The first one is refused; behind one that was written the command has failed."""
+    played = Played(Verb.FREQUENCY, "30")
+    assert played.sent(0.99) == WriteRam(1, 0xFA01, 3000)
+    assert played.execution.not_after == 1.0
+    played.execution.too_late(1.01)
+    assert played.end == (Status.REFUSED, Reason.EXPIRED)
+    played = Played(Verb.RUN, "30")
+    for answer in (Written(), Words((3000,))):
+        played.sent()
+        played.execution.on_reply(answer)
+    assert played.sent(0.99) == WriteRam(1, 0xFA00, 0xC400)
+    played.execution.too_late(1.01)
+    assert played.end == (Status.FAILED, Reason.EXPIRED)
+
+
+@pytest.mark.hazard("H11")
+def test_only_writing_has_an_end() -> None:
+    """What was written is read back later as well, and a stop is written for as long as it takes."""
+    played = Played(Verb.FREQUENCY, "30")
+    played.sent()
+    played.execution.on_reply(Written())
+    assert played.execution.not_after == math.inf
+    assert Played(Verb.STOP, is_stop=True).execution.not_after == math.inf
 
 
 @pytest.mark.hazard("H05", "H11")

@@ -82,6 +82,30 @@ def test_a_heartbeat_read_after_a_standstill_counts_from_before_it(door: Door, s
 
 
 @pytest.mark.hazard("H23")
+@pytest.mark.parametrize("verb", [Verb.TAKE, Verb.ARM])
+@pytest.mark.parametrize("seconds", [STALLED + 0.01, 0.99])
+def test_a_command_read_after_a_standstill_counts_from_before_it(door: Door, verb: Verb, seconds: float) -> None:
+    """Its controller may be dead by now: the lease is no longer than if it had come before."""
+    lease = door.controls["d1"].lease
+    stood = door.clock.now()
+    stand_still(door, seconds)
+    now = door.clock.now()
+    door.submit(Command("d1", verb, DASHBOARD, now, now + 1.0), lambda _: None)
+    assert lease.until == pytest.approx(stood + LEASE)
+
+
+@pytest.mark.hazard("H11", "H23")
+def test_a_command_read_after_a_standstill_has_so_much_less_time_left() -> None:
+    """But a stop, which never is too late."""
+    command = Command("d1", Verb.RUN, DASHBOARD, 1000.0, 1001.0)
+    assert command.older_by(0.0) is command
+    old = command.older_by(0.4)
+    assert (old.received, old.deadline) == (999.6, 1000.6)
+    stop = Command("d1", Verb.STOP, DASHBOARD, 1000.0, 1001.0).older_by(0.4)
+    assert (stop.received, stop.deadline) == (999.6, 1001.0)
+
+
+@pytest.mark.hazard("H23")
 @pytest.mark.parametrize("seconds", [LEASE, 60.0])
 def test_after_a_standstill_longer_than_the_lease_nothing_brings_it_back(door: Door, seconds: float) -> None:
     """Neither a heartbeat nor a command of the owner; the loss is dealt with before either is looked at."""
