@@ -33,13 +33,13 @@ check: $(VENV)/.dev $(VENV)/.package ## lint, types, import contract, generated 
 	$(BIN)/python -m tools.hazards --check
 
 test: $(VENV)/.dev $(VENV)/.package programs ## all tests, with branch coverage (TEST_ARGS="-k web")
-	@PATH="$$PATH:/usr/sbin" $(BIN)/pytest -q --cov --cov-branch $(TEST_ARGS)
+	@PATH="$$PATH:/usr/sbin" $(BIN)/python -m tools.suite $(TEST_ARGS)
 
 test-quick: $(VENV)/.dev $(VENV)/.package ## the tests that need no other programs
-	@$(BIN)/pytest -q -m "not e2e" $(TEST_ARGS)
+	@$(BIN)/pytest -q -n auto -m "not e2e" $(TEST_ARGS)
 
 soak: $(VENV)/.dev $(VENV)/.package programs ## the tests with ten times as many inputs (SOAK=100: a hundred times)
-	@PATH="$$PATH:/usr/sbin" TOSVERT_SOAK=$(SOAK) $(BIN)/pytest -q $(TEST_ARGS)
+	@PATH="$$PATH:/usr/sbin" TOSVERT_SOAK=$(SOAK) $(BIN)/python -m tools.suite $(TEST_ARGS)
 
 prove: $(VENV)/.dev $(VENV)/.package programs ## prove that the tests of each hazard fail without its rule (PROVE_ARGS="H05")
 	@PATH="$$PATH:/usr/sbin" $(BIN)/python -m tools.prove $(PROVE_ARGS)

@@ -33,6 +33,7 @@ PURPOSES = {
     "pytest": "tests",
     "pytest-asyncio": "tests of asynchronous code",
     "pytest-cov": "branch coverage",
+    "pytest-xdist": "tests on all cores",
     "ruff": "lint",
     "minimalmodbus": "a peer in the benchmarks",
     "setuptools": "building the package",

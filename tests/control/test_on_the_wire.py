@@ -9,9 +9,12 @@ import pytest
 
 from gateway.control.command import Command, Reason, Result, Status, Verb
 from gateway.control.door import Door
+from gateway.image import LinkState
+from gateway.sim import settings
 from gateway.sim.condition import TripCode
 from gateway.sim.faults import Fault, Kind
 from gateway.sim.journal import Way
+from gateway.sim.settings import SimulatedLineConfig
 from tests.bus.rig import Bench
 from tests.control import test_line_stop as lines
 from tests.control.test_control_line import DASHBOARD, Stage, play, started
@@ -92,6 +95,26 @@ def test_a_drive_that_is_left_alone_gets_no_frame_until_its_f803_has_acted() -> 
         assert stage.bench.drive.inverter.condition.trip_code == TripCode.COMMUNICATION
 
     play(script)
+
+
+@pytest.mark.hazard("H07")
+@pytest.mark.parametrize("protocol", ["toshiba-ascii", "toshiba-binary"])
+def test_a_stop_that_is_owed_is_not_given_to_another_drive(protocol: str) -> None:
+    """A VF-MB1 in the place of a VF-nC3 that was lost while it ran: who it is comes first, and it is sent no write."""
+
+    async def script(stage: Stage) -> None:
+        await running(stage, Fault(Kind.CUT, 1))
+        watched, wire = Watched(stage), stage.bench.wire
+        await watched.until("awake")
+        other = {"drive": [{"number": 1, "model": "vf-mb1", "protocol": "toshiba"}]}
+        now = asyncio.get_running_loop().time()
+        (wire.drives[0],) = settings.build(SimulatedLineConfig.model_validate(other), now).drives
+        wire.faults.clear()
+        await asyncio.sleep(5.0)
+        assert stage.bench.link("d1") is LinkState.STRANGER
+        assert wire.drives[0].inverter.memory.changes == 1  # since it was switched on: none
+
+    play(script, protocol=protocol)
 
 
 @pytest.mark.hazard("H05")

@@ -179,9 +179,9 @@ async def broker_fails(plant: Plant) -> None:
 
 
 def _leave_behind(plant: Plant) -> None:
-    """Have the broker keep run commands, from days when there were controllers of the same names."""
+    """Have the broker keep run commands, from days when there were controllers of the same names, who gave no ids."""
     for place, drive in enumerate(plant.drives):
-        order = Order(f"scada-{place}", drive, Verb.RUN, f"kept-{place}", plant.hertz())
+        order = Order(f"scada-{place}", drive, Verb.RUN, "", plant.hertz())
         ghost = MqttController.payload_of(order)
         plant.broker.publish(Message(f"{ROOT}/{drive}/command", ghost, 1, is_retained=True))
 

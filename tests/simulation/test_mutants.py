@@ -16,10 +16,14 @@ from gateway.control.drive_control import DriveControl
 from gateway.control.execution import Execution
 from gateway.control.lease import Lease
 from gateway.control.loss import Loss
+from gateway.control.results import Results
 from gateway.control.state import DriveState
 from gateway.image import DriveImage, Image, Quality, Sample
+from gateway.mqtt.listener import Listener
+from gateway.mqtt.message import Message
 from tests.simulation import trial
 
+pytestmark = pytest.mark.played
 SEEDS = 40  # trials at the most until a mutant is found out
 
 _sample = DriveImage.sample
@@ -51,6 +55,14 @@ def yes(*_: Any, **__: Any) -> bool:
 def zero(*_: Any, **__: Any) -> float:
     """Count nothing."""
     return 0.0
+
+
+_hear = Listener.hear
+
+
+def fresh(listener: Listener, message: Message) -> None:
+    """Hear what the broker had kept as if it had just been sent."""
+    _hear(listener, replace(message, is_retained=False))
 
 
 def done(execution: Execution, _text: str) -> None:
@@ -93,6 +105,8 @@ MUTANTS = {
     "frames follow without a gap": Mutant(DescriptorLine, "write", without_gap, "two fight", "3.5 characters"),
     "a command may have no result": Mutant(Execution, "finish", nothing, "two fight", "has no result"),
     "all is called done": Mutant(Execution, "on_silence", done, "noise on the line", "is called done"),
+    "a known id is new": Mutant(Results, "is_known", no, "broker fails", "times for one command"),
+    "retained commands count": Mutant(Listener, "hear", fresh, "broker fails", "nobody has asked for it"),
     "a task dies": Mutant(Image, "sweep", broken, "flood", "ended by itself"),
 }
 
