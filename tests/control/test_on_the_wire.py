@@ -100,7 +100,7 @@ def test_a_drive_that_is_left_alone_gets_no_frame_until_its_f803_has_acted() -> 
 @pytest.mark.hazard("H07")
 @pytest.mark.parametrize("protocol", ["toshiba-ascii", "toshiba-binary"])
 def test_a_stop_that_is_owed_is_not_given_to_another_drive(protocol: str) -> None:
-    """A VF-MB1 in the place of a VF-nC3 that was lost while it ran: who it is comes first, and it is sent no write."""
+    """A VF-MB1 in the place of a VF-nC3 that was lost while it ran: who it is comes first; it is sent no write."""
 
     async def script(stage: Stage) -> None:
         await running(stage, Fault(Kind.CUT, 1))

@@ -10,6 +10,7 @@ from random import Random
 from gateway.control.command import Verb
 from gateway.sim.condition import TripCode
 from gateway.sim.faults import Fault, Kind
+from tests import soak
 from tests.simulation import scripts
 from tests.simulation.broker import Message
 from tests.simulation.controllers import Controller, MqttController
@@ -17,6 +18,7 @@ from tests.simulation.orders import Order
 from tests.simulation.plant import Plant
 from tests.simulation.setup import ROOT, Setup, drawn
 
+LONG_DAY = 120.0  # seconds, times the factor of the long search
 SETTLING = 1.0  # seconds beyond the last bound, in which nothing may start again
 AT_WORK = (1.0, 4.0)  # seconds after the start, between which most things happen
 NOISE = (
@@ -333,6 +335,28 @@ async def all_at_once(plant: Plant) -> None:
     await over(plant)
 
 
+async def long_day(plant: Plant) -> None:
+    """Let it all go on for long, one mishap after another; controllers die and come back."""
+    chance = plant.chance
+    plant.start()
+    at_work(plant)
+    end = plant.world.now + LONG_DAY * soak.FACTOR
+    while plant.world.now < end:
+        await plant.last(chance.uniform(1.0, 15.0))
+        if chance.random() < 0.6:
+            mishap(plant)
+            continue
+        place = chance.randrange(len(plant.controllers))
+        controller, drive = plant.controllers[place], list(plant.drives)[place]
+        if controller.is_alive:
+            controller.die()
+        else:
+            controller.revive()
+            controller.play(controller.beat_for(drive))
+            controller.play(scripts.operate(controller, drive, plant.hertz))
+    await over(plant)
+
+
 def mishap(plant: Plant) -> None:
     """Let something go wrong."""
     chance = plant.chance
@@ -370,6 +394,7 @@ def leaving(chance: Random) -> Setup:
     return drawn(chance).but(on_exit=chance.choice(("stop", "stop", "hold")))
 
 
+LONG = {"long day": Scenario(drawn, long_day)}
 SCENARIOS = {
     "death in every state": Scenario(drawn, death_in_every_state),
     "noise on the line": Scenario(drawn, noise_on_the_line),

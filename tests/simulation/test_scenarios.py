@@ -10,6 +10,7 @@ from tests.simulation.scenarios import SCENARIOS
 
 SEEDS = 200
 pytestmark = pytest.mark.played
+LONG_DAYS = 8
 PARTS = 4  # tests a scenario, so that a failure says where to look sooner
 
 
@@ -24,6 +25,15 @@ def test_no_motor_runs_without_permission(scenario: str, part: int) -> None:
         if made.violations:
             broken[seed] = made.violations[0]
     assert not broken
+
+
+@pytest.mark.parametrize("part", range(PARTS))
+@pytest.mark.hazard("H05", "H10", "H14", "H23")
+def test_nor_does_one_in_the_course_of_a_long_day(part: int) -> None:
+    """Two minutes here; the long search makes it 80 days of 20 minutes, for 100 hours with the other scenarios."""
+    seeds = range(part, LONG_DAYS * soak.FACTOR, PARTS)
+    broken = {seed: trial.run("long day", seed).violations[:1] for seed in seeds}
+    assert not {seed: said for seed, said in broken.items() if said}
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)

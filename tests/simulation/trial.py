@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from tests.simulation import patches
 from tests.simulation.loop import SimulatedLoop
 from tests.simulation.plant import Plant
-from tests.simulation.scenarios import SCENARIOS
+from tests.simulation.scenarios import LONG, SCENARIOS
 from tests.simulation.world import World
 
 
@@ -30,7 +30,7 @@ class Trial:
 
 def run(name: str, seed: int) -> Trial:
     """Run a trial to its end."""
-    scenario = SCENARIOS[name]
+    scenario = (SCENARIOS | LONG)[name]
     world = World(f"{name} {seed}")
     loop = SimulatedLoop(world)
     begun = world.now
