@@ -126,7 +126,8 @@ def _advice(shipped: Sequence[DrivePlan], best: Sequence[DrivePlan]) -> Iterator
 
 def _drive(plan: DrivePlan) -> Iterator[str]:
     drive = plan.drive
-    yield f"  drive {drive.name}: number {drive.number}, {drive.model.name}, {drive.protocol}, unit {drive.unit}"
+    unit = f"unit {drive.unit}" if drive.unit else "no unit of its own"
+    yield f"  drive {drive.name}: number {drive.number}, {drive.model.name}, {drive.protocol}, {unit}"
     uses_block = any(isinstance(read.request, ReadBlock) for _, reads in plan.groups for read in reads)
     yield from _forms(plan)
     if uses_block:

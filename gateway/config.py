@@ -239,7 +239,9 @@ class DriveSection(Section):
     protocol: Literal["modbus-rtu", "toshiba-ascii", "toshiba-binary"] = Field(
         "modbus-rtu", description="F829; the drives are shipped with TOSHIBA, ASCII and binary at the same time"
     )
-    unit: int | None = Field(None, ge=1, le=247, description="MODBUS-TCP unit id; the number by default")
+    unit: int | None = Field(
+        None, ge=0, le=247, description="MODBUS-TCP unit id; the number by default; 0: none, by unit 255 only"
+    )
     control: Literal["off", "direct", "leased"] = Field(
         "off", description="off: read only; leased: by whoever keeps a lease alive; direct: without one"
     )

@@ -262,7 +262,9 @@ class Image:
     def __init__(self, drives: Iterable[Drive]) -> None:
         self.drives: tuple[DriveImage, ...] = tuple(DriveImage(drive) for drive in drives)
         self.by_name: Mapping[str, DriveImage] = {image.drive.name: image for image in self.drives}
-        self.by_unit: Mapping[int, DriveImage] = {image.drive.unit: image for image in self.drives}
+        self.by_unit: Mapping[int, DriveImage] = {
+            image.drive.unit: image for image in self.drives if image.drive.unit
+        }
 
     def subscribe(self, listener: Listener) -> None:
         """Subscribe to every drive; see DriveImage.subscribe."""

@@ -174,8 +174,8 @@ def _contradictions(table: Mapping[str, Any], models: Catalogue) -> list[str]:
         label = f"{key} ({drive.name})"
         wrong += _only_once(once, "drive name", drive.name, f"{label}.name")
         unit = drive.number if drive.unit is None else drive.unit
-        hint = "" if drive.unit else "; give this drive a unit of its own"
-        wrong += _only_once(once, "MODBUS-TCP unit", unit, f"{label}.unit", hint)
+        hint = "" if drive.unit else "; give this drive a unit of its own, or unit = 0: by unit 255 only"
+        wrong += _only_once(once, "MODBUS-TCP unit", unit, f"{label}.unit", hint) if unit else []
         wrong += _wrong_number(label, drive)
         family = "MODBUS-RTU" if drive.protocol == "modbus-rtu" else "TOSHIBA"
         wrong += _only_once(once, f"{family} number on line {line.get('name')}", drive.number, f"{label}.number")
@@ -194,7 +194,7 @@ def _wrong_number(label: str, drive: DriveSection) -> Iterator[str]:
         known = f"{numbers.start} to {numbers.stop - 1}"
         yield f"{label}.number: {drive.protocol} has the numbers {known} (given: {drive.number})"
     elif drive.number == 0 and drive.unit is None:
-        yield f"{label}.unit: number 0 is no MODBUS-TCP unit id; give this drive one of 1 to 247"
+        yield f"{label}.unit: number 0 is no MODBUS-TCP unit id; give this drive one of 1 to 247, or 0 for none"
 
 
 def _group_contradictions(once: dict[tuple[str, object], str], line: Mapping[str, Any], label: str) -> Iterator[str]:

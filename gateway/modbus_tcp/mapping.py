@@ -26,7 +26,7 @@ def register_map(site: Site) -> MapDocument:
     return MapDocument(
         site.config.gateway.name,
         (
-            *(_drive_table(drive) for drive in site.drives),
+            *(_drive_table(drive) for drive in site.drives if drive.unit),
             Table(f"Unit {own}: compact map, 16 registers a drive (8000H: no value)", tuple(compact)),
             *command_tables(site),
             Table(f"Unit {own}: counters of the gateway", tuple(_counter_rows())),

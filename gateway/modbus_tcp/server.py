@@ -64,7 +64,7 @@ class ModbusTcpServer:
     def _open(self, door: Door, image: Image, gateway_unit: GatewayUnit, units: dict[int, Unit]) -> None:
         """Let the drives be commanded that may be."""
         for drive in image.drives:
-            if drive.drive.name in door.controls:
+            if drive.drive.name in door.controls and drive.drive.unit:
                 commanded = CommandedUnit(drive, door)
                 units[drive.drive.unit] = commanded
                 self._writers[drive.drive.unit] = DriveWriter(drive.drive.name, door, commanded)

@@ -87,6 +87,17 @@ def document(plant: Site) -> MapDocument:
     return register_map(plant)
 
 
+def test_a_drive_may_have_no_unit_of_its_own() -> None:
+    """As many as like: each is in the compact map, and unit 0 answers for none of them."""
+    line = {"name": "b", "port": "/dev/ttyUSB1"}
+    drives = [{"name": f"d{n}", "number": n, "unit": 0, "model": "vf-nc3"} for n in range(1, 32)]
+    many = site.build({**TABLE, "line": [*TABLE["line"], {**line, "drive": drives}]}, "test", Path())
+    assert set(Image(many.drives).by_unit) == {1, 20}
+    rows = register_map(many).rows
+    assert {row.unit_id for row in rows} == {1, 20, UNIT}
+    assert {row.drive for row in rows if row.unit_id == UNIT} >= {drive["name"] for drive in drives}
+
+
 def test_a_drive_stands_at_its_own_numbers(document: MapDocument) -> None:
     """FD00H is address 64768, register 64769, reference 464769."""
     row = next(row for row in document.rows if row.drive == "pump-1" and row.name == "output_frequency")
