@@ -1,7 +1,7 @@
 """One gateway process on 1 to 32 lines: what it takes of processor and memory, and what each line gets of its limit.
 
 Every line is polled as fast as it allows, one five-word block after another, with MQTT to a real broker and the
-servers on. The lines live in one lean process beside it (bench.remembered_lines), which needs a core of its own; its own
+servers on. The lines live in one lean process beside it (bench.remembered_lines), which needs a core of its own; its
 lateness is printed, so that one can see when it, and not the gateway, is what holds the lines up.
 """
 

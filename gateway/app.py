@@ -177,8 +177,8 @@ class App:
         log.info("tosvert-gateway %s: %d lines, %d drives", __version__, len(self.site.lines), len(self.site.drives))
         try:
             done, _ = await asyncio.wait([*lines, *others, stop], return_when=asyncio.FIRST_COMPLETED)
-            if stop in done:
-                await self._leave()
+            if stop in done or not all(line.done() for line in lines):
+                await self._leave()  # also where a part has failed: what the lines can still stop, they do
         finally:
             for tasks in (lines, [*others, stop]):
                 for task in tasks:

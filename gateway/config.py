@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 
 from pydantic import (
     AfterValidator,
+    AliasChoices,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -255,7 +256,9 @@ class DriveSection(Section):
     communication_timeout: Duration | None = Field(None, ge=0.1, le=100, description="F803, set where it differs")
     timeout_action: Literal["alarm", "coast", "stop"] | None = Field(None, description="F804, set where it differs")
     timeout_detection: Literal["always", "communication", "running"] | None = Field(
-        None, description="F808, set where it differs"
+        None,
+        validation_alias=AliasChoices("timeout_detection", "detection"),
+        description="F808, set where it differs; detection is the same key",
     )
     unwatched: bool = Field(False, description="run commands though F803 or F804 would not stop the motor")
     allow_stored: bool = Field(False, description="parameters may be written to the EEPROM")

@@ -33,6 +33,7 @@ REOPEN_FIRST = 0.5  # seconds; doubled up to the last
 REOPEN_LAST = 10.0
 SETTLE = 0.1  # seconds of silence after opening: half a frame of whoever spoke before is let go
 LATE_AT_MOST = 0.4  # seconds after a time-out in which the old answer may still come, twice the margin at least
+TRIP_AGAIN = 1.0  # seconds between two looks at a trip code that the status contradicts
 IDLE_WAIT = 1.0  # seconds, when there is nothing to do at all
 
 LOST = (LinkState.OFFLINE, LinkState.STRANGER, LinkState.LINE_DOWN)
@@ -52,6 +53,7 @@ class _Station:
         self.planner = planner
         self.reader = DriveReader(drive, planner, phase)
         self.link = Link()
+        self.trip_looked = float("-inf")  # when the trip code was read anew because the status says otherwise
         self.trip_signs: dict[str, bool] = {}  # MODBUS-RTU: by FC90, and by the bit in FD01
         self.is_left_alone = False  # by its control, so that its own time-out acts
         self.quiet_until = float("-inf")  # nothing but identifications before: a late answer might be believed
@@ -237,8 +239,9 @@ class LineWorker:
         if control.is_quiet and not station.is_left_alone:
             self._begin_anew(station, control.loss.quiet_until, f"left alone: {control.reason}")
         elif control.state.needs_set_up:
-            control.state.needs_set_up = False
-            self._begin_anew(station, now + station.drive.model.times.start_up, control.reason)
+            start_up = station.drive.model.times.start_up if control.resets.is_deaf else 0.0
+            control.state.needs_set_up = control.resets.is_deaf = False
+            self._begin_anew(station, now + start_up, control.reason)
         station.is_left_alone = control.is_quiet
         if control.is_exclusive:
             self._schedule.suspend(name)
@@ -374,6 +377,7 @@ class LineWorker:
                 signs = station.trip_signs.values()
                 told = any(signs) if signs and flag is None else flag
                 self._trip(station, told, answered.done)
+                self._settle_trip(station, answered.done)
 
     def _trip(self, station: _Station, is_tripped: bool | None, now: float) -> None:
         """Take what an answer said of a trip; at each change the trip code and the status are read at once."""
@@ -388,6 +392,15 @@ class LineWorker:
         station.image.set_tripped(is_tripped)
         if station.reader.is_set_up:
             self._add(station.drive.name, station.reader.on_trip(), now)
+
+    def _settle_trip(self, station: _Station, now: float) -> None:
+        """Have the trip code read again where it is old: the status says that the drive is no longer tripped."""
+        signs, name = station.trip_signs, station.drive.name
+        if signs.get("status") is not False or not signs.get("trip_code") or not station.reader.is_set_up:
+            return
+        if now >= station.trip_looked + TRIP_AGAIN:  # where they go on to disagree, not without end
+            station.trip_looked = now
+            self._add(name, station.reader.on_trip(), now)
 
     def control(self, drive: str, setpoint: Setpoint | None) -> None:
         """Have every block read of a drive write these words, or end that; see `is_carrying`."""

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 
-from gateway.control.command import Command, Reason, Verb
-from gateway.control.composing import COMMAND, FREQUENCY, NotComposable, compose, has_bit, runs
+from gateway.control import watchdog
+from gateway.control.command import GATEWAY, Command, Reason, Verb
+from gateway.control.composing import (
+    COMMAND,
+    FREQUENCY,
+    HELD_FREQUENCY,
+    POLES,
+    PRIORITIES,
+    SPEED,
+    NotComposable,
+    compose,
+    has_bit,
+    runs,
+)
 from gateway.control.settings import ControlSettings
 from gateway.control.writes import Allowed, BadCommand, PlannedWrite, Why, limited_by, plan_write
 from gateway.drives.register import Kind, Register
@@ -16,6 +28,8 @@ from gateway.site import Drive
 EXECUTIVE = (Verb.RUN, Verb.JOG, Verb.PRESET)  # what sets a motor in motion
 COMPOSED = frozenset(Verb) - {Verb.SET, Verb.WORDS, Verb.ARM, Verb.TAKE, Verb.RELEASE}
 SETPOINTS = (Verb.FREQUENCY, Verb.SPEED, Verb.ANALOG)  # of which only the newest matters
+
+POLES_PER_HZ = 120  # min-1 times the number of poles, to Hz (FA13, VF-MB1 RS485 8.1)
 
 REASONS = {
     Why.READ_ONLY: Reason.READ_ONLY,
@@ -78,7 +92,8 @@ class Admission:
         except BadCommand as error:
             raise NotAdmitted(REASONS[error.why], str(error)) from error
         for write in writes:
-            self._check_word(command, write.register, write.word)
+            self._check_word(command, write.register, write.word, known)
+        self._check_held_frequency(writes, known)
         is_raw = command.verb in (Verb.SET, Verb.WORDS) and (is_own or len(writes) == 1)
         is_raw_stop = is_raw and any(_stops(write, is_own=is_own) for write in writes)
         if is_raw_stop:
@@ -90,14 +105,30 @@ class Admission:
             is_reset=any(not write.is_answered for write in writes),
         )
 
-    def _check_word(self, command: Command, register: Register, word: int) -> None:
+    def _check_held_frequency(self, writes: Sequence[PlannedWrite], known: Mapping[str, int]) -> None:
+        """Refuse to run at a frequency that is left in FA01 from before and is out of range (SAFETY.md H12, H31)."""
+        word = next((write.word for write in writes if write.register.name == COMMAND), 0)
+        register = self.drive.model.registers.get(COMMAND)
+        is_said = {FREQUENCY, SPEED} & {*known, *(write.register.name for write in writes)}
+        if register is None or is_said or not runs(register, word) or not has_bit(register, word, PRIORITIES[0]):
+            return
+        frequency = self.drive.model.registers.get(FREQUENCY)
+        if frequency is not None and HELD_FREQUENCY in known:
+            self._check_frequency(frequency.decode(known[HELD_FREQUENCY]))
+
+    def _check_word(self, command: Command, register: Register, word: int, known: Mapping[str, int]) -> None:
         if not self.settings.permits(command, register, word):
             raise NotAdmitted(Reason.NOT_PERMITTED, f"{command.source} has no right to {register.name} = {word:04X}H")
         if register.name == FREQUENCY or (register.unit == "Hz" and register.kind is Kind.COMMAND):
             self._check_frequency(register.decode(word))
         if register.unit == "min-1" and register.kind is Kind.COMMAND and self.settings.has_frequency_limits:
-            text = f"{register.name} is in min-1, and the limits of {self.drive.name} are configured in Hz"
-            raise NotAdmitted(Reason.NOT_PERMITTED, text)
+            if POLES not in known:
+                text = f"F856 of {self.drive.name} is not known: its limits are in Hz, {register.name} is in min-1"
+                raise NotAdmitted(Reason.NOT_PERMITTED, text)
+            self._check_frequency(register.decode(word) * 2 * known[POLES] / POLES_PER_HZ)
+        objection = watchdog.objection(self.settings, self.drive.model, register, word)
+        if objection and command.source != GATEWAY:
+            raise NotAdmitted(Reason.FORBIDDEN, objection)
 
     def _check_frequency(self, value: Decimal) -> None:
         least, greatest = self.settings.least_frequency, self.settings.greatest_frequency

@@ -17,6 +17,8 @@ from gateway.drives.scaling import OutOfRange
 COMMAND = "command"  # FA00
 FREQUENCY = "frequency_command"  # FA01
 SPEED = "motor_speed_command"  # FA13
+POLES = "motor_poles"  # F856, by a code: half of them
+HELD_FREQUENCY = "held_frequency"  # FA01 as it was found, whoever set it; FREQUENCY: by a controller
 TERMINALS = "terminal_output"  # FA50
 ANALOG = "analog_output"  # FA51
 PRESETS = ("preset_speed_1", "preset_speed_2", "preset_speed_3", "preset_speed_4")  # bits 0 to 3, a number together
@@ -90,7 +92,8 @@ def compose(command: Command, model: Model, known: Mapping[str, int]) -> tuple[S
         return (value, *_taking_effect(command, model, before))
     is_run_at = command.verb is Verb.RUN and command.value is not None
     value_first = (_value(command, model, FREQUENCY),) if is_run_at else ()
-    with_frequency = is_run_at or (command.verb is Verb.RUN and FREQUENCY in known)
+    was_set = FREQUENCY in known or SPEED in known
+    with_frequency = is_run_at or (command.verb is Verb.RUN and was_set)
     return (*value_first, _command_word(command, model, before, with_frequency=with_frequency))
 
 
@@ -105,17 +108,24 @@ def has_bit(register: Register, word: int, *names: str) -> bool:
 
 
 def _taking_effect(command: Command, model: Model, before: int) -> tuple[Step, ...]:
-    """Give the frequency from the line priority where the motor already runs by command, but not at it."""
+    """Give the frequency from the line priority where the motor already runs by command, but not at it.
+
+    A preset speed goes before it (7.1), and is ended; who jogs goes on jogging, and has the frequency afterwards.
+    """
     register = model.registers.get(COMMAND)
     is_setpoint = command.verb in (Verb.FREQUENCY, Verb.SPEED)
     if register is None or not is_setpoint or not runs(register, before):
         return ()
-    if not has_bit(register, before, "command_priority") or has_bit(register, before, "frequency_priority"):
+    if not has_bit(register, before, "command_priority") or has_bit(register, before, "jog"):
         return ()
     place = {name: bit for bit, name in register.bits.items()}
     if "frequency_priority" not in place:
         return ()
-    return (Step(register, (before & register.mask) | 1 << place["frequency_priority"], register.mask),)
+    held = before & register.mask
+    word = held | 1 << place["frequency_priority"]
+    for name in PRESETS:
+        word &= ~(1 << place[name]) if name in place else word
+    return (Step(register, word, register.mask),) if word != held else ()
 
 
 def _register(model: Model, name: str) -> Register:

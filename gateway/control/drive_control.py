@@ -17,7 +17,7 @@ from gateway.control.composing import FREQUENCY
 from gateway.control.execution import Execution
 from gateway.control.lease import Lease
 from gateway.control.loss import Loss
-from gateway.control.resets import Resets
+from gateway.control.resets import CLEARED, Resets
 from gateway.control.results import Results
 from gateway.control.settings import ControlSettings
 from gateway.control.state import DriveState, Errand, Standing
@@ -129,7 +129,7 @@ class DriveControl:
         state.admission.check_right(command)
         if now > command.deadline:
             raise NotAdmitted(Reason.EXPIRED, "it came too late")
-        if state.is_ending:
+        if state.is_ending and not command.verb.is_stopping:
             raise NotAdmitted(Reason.ENDING, "the gateway ends")
         if command.verb.is_about_permission:
             self._change_permission(command, answer, now)
@@ -178,6 +178,8 @@ class DriveControl:
             raise NotAdmitted(Reason.OFFLINE, f"{self.drive.name} is not online")
         if plan.is_motion and self.standing is not Standing.ARMED:
             raise NotAdmitted(Reason.NOT_ARMED, f"disarmed: {self.reason}")
+        if plan.is_motion and self.state.unwatched and not self.settings.is_unwatched:
+            raise NotAdmitted(Reason.NO_WATCHDOG, self.state.unwatched)
 
     # ---- permission
 
@@ -278,6 +280,8 @@ class DriveControl:
         if is_tripped is None:
             return
         was_tripped, state.is_tripped = state.is_tripped, is_tripped
+        if was_tripped and not is_tripped and state.is_online:
+            self.resets.on_reset(CLEARED)  # nothing else ends a trip: what it had in its RAM is gone (7.1)
         if not is_tripped:
             return
         state.may_move = False
@@ -344,7 +348,7 @@ class DriveControl:
                 return self._next_of(execution, now)
             return None
         look = self.resets.look_before(execution, now)
-        if look is not None:
+        if look is not None and now <= execution.command.deadline:
             return look
         request = execution.next(now)
         if request is None:
@@ -391,6 +395,8 @@ class DriveControl:
         if errand.look is not None and isinstance(reply, Words):
             self.loss.seen(errand.look, reply.words[0], now)
             self.resets.seen(errand.look, reply.words[0], now)
+            if errand.look.name == "trip_code" and reply.words[0]:
+                self.on_trip(is_tripped=True)
         elif execution is not None and not execution.write.is_answered:
             self.resets.sent(execution, now)
         elif execution is not None:
@@ -421,6 +427,8 @@ class DriveControl:
     def _settle(self, execution: Execution) -> None:
         """Drop what is over, and remember what the drive holds now."""
         self.state.facts.update(execution.read_back)
+        if self.standing is Standing.ARMED and self.state.unwatched and not self.settings.is_unwatched:
+            self.state.disarm(self.state.unwatched)
         if execution.is_over:
             self.state.queue.remove(execution)
         if execution.has_stopped and execution.writes[0].register.name != FREQUENCY:

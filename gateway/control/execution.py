@@ -11,10 +11,12 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from gateway.control.command import Answer, Command, Reason, Result, Status
+from gateway.control.composing import COMMAND, has_bit
 from gateway.control.writes import PlannedWrite
 from gateway.errors import Refusal, Refused
 from gateway.protocol.pdu import ReadWords, Reply, Request, Words
 
+STRONGER = ("coast", "emergency_stop")  # bits of FA00, each a stronger stop than the ones before
 READ_BACKS = 2  # reads without an answer, before the outcome is called unknown
 SILENT_STOPS = 3  # writes of a stop without an answer in a row: then the drive's own F803 has to act
 VAIN_STOPS = 5  # stops that were answered and yet do not read back, or were refused for now
@@ -85,6 +87,21 @@ class Execution:
     def is_insistent(self) -> bool:
         """Say whether it is at the stop itself, which is written until it is read back."""
         return self.is_stop and self._place == 0
+
+    @property
+    def strength(self) -> int:
+        """Return how strong a stop is: 0 slows down, 1 lets the motor coast, 2 trips the drive; -1: it is none."""
+        write = next((write for write in self.writes if write.register.name == COMMAND), None)
+        if not self.is_stop or write is None:
+            return -1
+        found = [n for n, name in enumerate(STRONGER, 1) if has_bit(write.register, write.word, name)]
+        return max(found, default=0)
+
+    def taken_over(self) -> Sequence[tuple[Command, Answer]]:
+        """Give no result any more; return who waits for one."""
+        waiting = [(self.command, self.answer), *self.joined]
+        self.phase, self.joined = Phase.OVER, []
+        return waiting
 
     @property
     def has_stopped(self) -> bool:

@@ -26,6 +26,7 @@ VERBS = {
     OnLoss.EMERGENCY_STOP: Verb.EMERGENCY_STOP,
     OnLoss.FREQUENCY: Verb.FREQUENCY,
 }
+STRENGTHS = {OnLoss.COAST: 1, OnLoss.EMERGENCY_STOP: 2}  # that a stop under way has to have to do instead
 
 
 @dataclass(slots=True)
@@ -52,7 +53,7 @@ class Loss:
         state.disarm(reason)
         if kind is OnLoss.HOLD or not state.may_move or state.standing is not Standing.DISARMED:
             return
-        if state.queue.has_stop:
+        if state.queue.has_stop and state.queue.head.strength >= STRENGTHS.get(kind, 0):
             self._adopt(reason, now)
         elif not state.is_heard or kind is OnLoss.QUIESCE:
             self.unverified(reason, now)
@@ -121,8 +122,9 @@ class Loss:
     # ---- what is done
 
     def _do(self, kind: OnLoss, reason: str, now: float) -> None:
-        """Queue the gateway's own stop, or the fallback frequency, ahead of everything."""
+        """Queue the gateway's own stop, or the fallback frequency, ahead of everything; nobody goes on jogging."""
         state = self.state
+        kind = OnLoss.STOP if kind is OnLoss.FREQUENCY and state.is_jogging else kind
         state.disarm(reason)
         state.standing, state.reason = Standing.LOST, reason
         self._kind, self._since = kind, now

@@ -7,10 +7,12 @@ armed; it reads 0 after any reset, however short.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from gateway.control import watchdog
 from gateway.control.admission import NotAdmitted
-from gateway.control.command import Answer, Command, Reason, Result, Status
+from gateway.control.command import Answer, Command, Reason, Result, Status, Verb
+from gateway.control.composing import COMMAND, FREQUENCY, HELD_FREQUENCY
 from gateway.control.execution import Execution, Phase
 from gateway.control.state import DriveState, Errand, Standing, is_for_armed
 from gateway.control.writes import BadCommand, plan_write
@@ -21,6 +23,7 @@ MARK = "reset_detection"  # FA87
 MARK_EVERY = 1.0  # seconds between two looks at it while the drive is armed
 MARK_FRESH = 0.25  # seconds for which a look at it is believed before a run command
 RESET = "the drive was reset"
+CLEARED = "the drive is no longer tripped: it was reset"
 
 
 @dataclass(slots=True)
@@ -29,6 +32,8 @@ class Resets:
 
     state: DriveState
     is_stop_lost: bool = False  # a stop waited when the drive was reset: it is owed
+    is_deaf: bool = False  # it was told to reset itself: it hears nothing while it starts
+    _to_observe: list[Register] = field(default_factory=list)  # before it is armed
     _asked: Execution | None = None
     _until: float = 0.0
     _seen: float = float("-inf")
@@ -38,20 +43,22 @@ class Resets:
         """Say whether the drive has been told to reset itself and is not back yet."""
         return self._asked is not None
 
-    def on_reset(self) -> None:
+    def on_reset(self, reason: str = RESET) -> None:
         """Take that the drive was reset: it is set up anew, and armed anew."""
         state = self.state
-        state.needs_set_up = True
+        state.needs_set_up, state.is_marked = True, False
         state.may_move = False
+        self._to_observe = []
         self.is_stop_lost |= state.queue.has_stop
-        state.queue.clear(Reason.OFFLINE, RESET)
-        state.disarm(RESET)
+        state.queue.clear(Reason.OFFLINE, reason)
+        state.disarm(reason)
 
     def sent(self, execution: Execution, now: float) -> None:
         """Take that a fault reset was sent."""
         self.state.queue.remove(execution)
         self._asked, self._until = execution, now + RESET_WITHIN
         self.on_reset()
+        self.is_deaf = True
         self.state.is_online = False
         self.state.is_tripped = None
 
@@ -97,14 +104,25 @@ class Resets:
             write = plan_write(state.drive.model, state.drive.codec, state.drive.number, register, 1)
         except BadCommand:  # a catalogue in which it is none to be set
             return None
+        self._to_observe = self._worth_a_look
         return Execution(command, (write,), marked)
+
+    @property
+    def _worth_a_look(self) -> list[Register]:
+        """Return what is read again before a drive is armed: it may have been reset, and set, while nobody looked."""
+        state, model = self.state, self.state.drive.model
+        names = [MARK] if state.is_marked else []
+        names += [name for name in (COMMAND, FREQUENCY, "trip_code") if name in model.registers]
+        return [*(model.registers[name] for name in names), *watchdog.registers(model).values()]
 
     @property
     def _is_watched(self) -> bool:
         return self.state.is_marked and self.state.is_online and self.state.standing is Standing.ARMED
 
     def look_before(self, execution: Execution, now: float) -> Errand | None:
-        """Return the look that has to be made before a run command: the drive may have been reset unseen."""
+        """Return the look to be made before arming, or before a run command: it may have been reset unseen."""
+        if execution.command.verb is Verb.ARM and execution.phase is Phase.WRITING and self._to_observe:
+            return self.state.look(self._to_observe[0])
         is_first = execution.phase is Phase.WRITING and not execution.is_stop and is_for_armed(execution)
         return self._look if self._is_watched and is_first and now > self._seen + MARK_FRESH else None
 
@@ -118,13 +136,19 @@ class Resets:
 
     def seen(self, register: Register, word: int, now: float) -> None:
         """Take what a look has shown."""
+        state = self.state
+        if register in self._to_observe:
+            self._to_observe.remove(register)
+            name = HELD_FREQUENCY if register.name == FREQUENCY else register.name
+            state.facts[name] = word & register.mask
         if register.name == MARK:
             self._seen = now
-            if word == 0 and self.state.is_marked:
+            if word == 0 and state.is_marked:
                 self.on_reset()
 
     def refused(self, register: Register) -> None:
-        """Take that the mark cannot be read: nothing is watched then."""
+        """Take that the drive does not tell: without its mark nothing is watched."""
+        self._to_observe = [other for other in self._to_observe if other is not register]
         if register.name == MARK:
             self.state.is_marked = False
 

@@ -14,7 +14,7 @@ from enum import Enum
 from gateway.control import watchdog
 from gateway.control.admission import EXECUTIVE, SETPOINTS, Admission, NotAdmitted
 from gateway.control.command import GATEWAY, Answer, Command, Reason, Source, Status, Verb
-from gateway.control.composing import COMMAND, runs
+from gateway.control.composing import COMMAND, has_bit, runs
 from gateway.control.execution import Execution
 from gateway.control.lease import Lease
 from gateway.control.settings import ControlSettings
@@ -83,14 +83,29 @@ class Queue:
         """Let a command wait: a stop instead of everything else, a setpoint instead of an older one."""
         command = execution.command
         if execution.is_stop:
-            self.clear(Reason.STOPPED, f"{command.verb} came from {command.source}")
-            self.executions.appendleft(execution)
+            self._put_stop(execution)
             return
         if command.verb in SETPOINTS:
             self._supersede(command)
         if len(self.executions) >= WAITING:
             raise NotAdmitted(Reason.BUSY, f"{WAITING} commands wait for this drive already")
         self.executions.append(execution)
+
+    def _put_stop(self, execution: Execution) -> None:
+        """Let a stop go instead of everything else, but for a stronger one: the weaker shares its result."""
+        text = f"{execution.command.verb} came from {execution.command.source}"
+        head = self.executions[0] if self.has_stop else None
+        if head is None or head.strength < 0:
+            self.clear(Reason.STOPPED, text)
+        elif head.strength < execution.strength:
+            self.executions.popleft()
+            execution.joined.extend(head.taken_over())
+            self.clear(Reason.STOPPED, text)
+        else:
+            self.clear_but_stops(Reason.STOPPED, text)
+            head.joined.extend(execution.taken_over())
+            return
+        self.executions.appendleft(execution)
 
     def joins(self, command: Command, answer: Answer) -> bool:
         """Let an equal stop share the one that is under way: a flood of stops must not begin it again and again."""
@@ -103,9 +118,13 @@ class Queue:
         return True
 
     def _supersede(self, command: Command) -> None:
-        for execution in [e for e in self.executions if e.command.verb is command.verb and not e.is_begun]:
-            self.executions.remove(execution)
-            execution.finish(Status.REFUSED, Reason.SUPERSEDED, "a newer value came before it was sent")
+        """Drop an older setpoint that waits, but none before a command of another kind: it may need that one."""
+        for execution in reversed(tuple(self.executions)):
+            if execution.command.verb not in SETPOINTS:
+                return
+            if execution.command.verb is command.verb and not execution.is_begun:
+                self.executions.remove(execution)
+                execution.finish(Status.REFUSED, Reason.SUPERSEDED, "a newer value came before it was sent")
 
     def remove(self, execution: Execution) -> None:
         """Drop one, if it is there."""
@@ -185,9 +204,14 @@ class DriveState:
         register = self.drive.model.registers.get(COMMAND)
         return register is not None and runs(register, self.facts.get(COMMAND, 0)) and not self.is_tripped
 
+    @property
+    def is_jogging(self) -> bool:
+        """Say whether FA00, as it was read last, jogs the motor."""
+        register = self.drive.model.registers.get(COMMAND)
+        return register is not None and has_bit(register, self.facts.get(COMMAND, 0), "jog")
+
     def disarm(self, reason: str) -> None:
         """Permit no motion until the drive is armed again; what waits for it is refused."""
-        self.is_marked = False
         self.queue.end_motion(reason)
         if self.standing is Standing.ARMED:
             self.standing, self.reason = Standing.DISARMED, reason

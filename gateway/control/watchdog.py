@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 
 from gateway.config import DriveSection
-from gateway.control.composing import COMMAND, FREQUENCY
+from gateway.control.composing import COMMAND, FREQUENCY, POLES
 from gateway.control.settings import ControlSettings
 from gateway.control.writes import limited_by
 from gateway.drives.model import Model
@@ -75,25 +75,38 @@ def control_registers(drive: Drive) -> list[Register]:
     model = drive.model
     frequency = model.registers.get(FREQUENCY)
     limits = limited_by(model, frequency) if frequency is not None else ()
-    names = [name for name in OBSERVED if name in model.registers]
+    names = [name for name in (*OBSERVED, POLES) if name in model.registers]
     return [*(model.registers[name] for name in names), *registers(model).values(), *limits]
 
 
 def wanted(settings: ControlSettings, model: Model, facts: Mapping[str, int]) -> Iterator[tuple[Register, int]]:
     """Yield what is to be written, in order: only what is configured and reads otherwise."""
-    timeout = settings.communication_timeout
-    asked = {
-        "timeout_action": settings.timeout_action,
-        "timeout_detection": settings.timeout_detection,
-        "timeout": None if timeout is None else _exact(timeout),
-    }
     for role, register in registers(model).items():
-        value = asked[role]
-        if value is None:
-            continue
-        word = register.encode(value) if isinstance(value, Decimal) else value
-        if facts.get(register.name) != word:
+        word = _configured(settings, role, register)
+        if word is not None and facts.get(register.name) != word:
             yield register, word
+
+
+def _configured(settings: ControlSettings, role: str, register: Register) -> int | None:
+    """Return the word that a parameter of the time-out is configured to have, None where none is."""
+    timeout = settings.communication_timeout
+    if role == "timeout":
+        return None if timeout is None else register.encode(_exact(timeout))
+    return settings.timeout_action if role == "timeout_action" else settings.timeout_detection
+
+
+def objection(settings: ControlSettings, model: Model, register: Register, word: int) -> str:
+    """Say why a controller may not write that word to a parameter of the time-out; "" for what it may."""
+    role = next((role for role, known in registers(model).items() if known.name == register.name), None)
+    if role is None:
+        return ""
+    configured = _configured(settings, role, register)
+    need = next(need for need in NEEDS if need.role == role)
+    if configured is not None and word != configured:
+        return f"{_number(register)} is {register.format(configured)} by the configuration, and is kept so"
+    if word not in need.words and not settings.is_unwatched:
+        return f"{_number(register)} = {register.format(word)}: {need.otherwise}; or unwatched = true permits it"
+    return ""
 
 
 def contradictions(section: DriveSection, model: Model) -> Iterator[tuple[str, str]]:

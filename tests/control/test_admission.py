@@ -151,3 +151,21 @@ def test_the_panels_frequency_is_limited_as_well() -> None:
 def test_an_absurd_number_is_refused_and_ends_nothing(value: str) -> None:
     """However large or small."""
     assert refusal(admission(), Verb.PRESET, PLC, value=value) is Reason.RANGE
+
+
+@pytest.mark.hazard("H31")
+def test_a_speed_is_judged_by_the_limits_in_hertz() -> None:
+    """By F856: code 2 stands for 4 poles, so that 1800 min-1 are 60 Hz; where it is not known, nothing is guessed."""
+    admitted = admission(model="vf-mb1", frequency={"min": 10, "max": 50})
+    known = {"command": 0, "motor_poles": 2}
+    assert plan(admitted, Verb.SPEED, PLC, value="1500", known=known).writes[0].word == 1500
+    for value in ("1501", "299"):
+        assert refusal(admitted, Verb.SPEED, PLC, value=value, known=known) is Reason.RANGE
+    assert refusal(admitted, Verb.SPEED, PLC, value="1500") is Reason.NOT_PERMITTED
+
+
+def test_a_run_after_a_speed_takes_its_frequency_from_the_line() -> None:
+    """Bit 14 is set as after a frequency: else the panel's would count."""
+    admitted = admission(model="vf-mb1")
+    known = {"command": 0, "motor_speed_command": 1500}
+    assert [write.word for write in plan(admitted, Verb.RUN, PLC, known=known).writes] == [0xC400]

@@ -7,16 +7,18 @@ import pytest
 from gateway.control.command import Channel, Command, Result, Source, Status, Verb
 from gateway.control.following import EVERY, WITHIN, Following
 from gateway.control.lease import Lease
-from gateway.control.results import REMEMBERED, Results
+from gateway.control.results import REMEMBERED, REMEMBERED_FOR, Results
 from gateway.drives.catalogue import load
 
 NC3 = load()["vf-nc3"]
 ONE, TWO = Source(Channel.MQTT, "one"), Source(Channel.MODBUS_TCP, "two")
 
 
-def command(number: str = "", source: Source = ONE) -> Command:
+def command(
+    number: str = "", source: Source = ONE, verb: Verb = Verb.RUN, received: float = 0.0
+) -> Command:
     """Return a command with an id."""
-    return Command("d1", Verb.STOP, source, 0.0, 1.0, id=number)
+    return Command("d1", verb, source, received, received + 1.0, id=number)
 
 
 @pytest.mark.hazard("H04")
@@ -60,6 +62,21 @@ def test_a_known_id_gets_the_first_result_even_while_it_is_awaited() -> None:
     assert told == [result, result]
     assert results.is_known(command("7"), told.append)
     assert told == [result] * 3
+    assert results.is_known(command("7", received=REMEMBERED_FOR), told.append)
+    assert not results.is_known(command("7", received=REMEMBERED_FOR + 0.1), told.append)
+
+
+@pytest.mark.hazard("H03", "H29")
+def test_a_stop_is_answered_from_memory_only_while_it_is_under_way() -> None:
+    """Somebody may have run the motor since: a button that always sends the same id stops it again."""
+    results = Results()
+    told: list[Result] = []
+    answer = results.remembering(command("7", verb=Verb.STOP), told.append)
+    assert results.is_known(command("7", verb=Verb.STOP), told.append)
+    answer(Result(command("7", verb=Verb.STOP), Status.DONE))
+    assert not results.is_known(command("7", verb=Verb.STOP), told.append)
+    results.remembering(command("7", verb=Verb.STOP), told.append)
+    assert results.is_known(command("7", verb=Verb.STOP), told.append)
 
 
 def test_ids_are_forgotten_oldest_first_but_never_while_under_way() -> None:

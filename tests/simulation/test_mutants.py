@@ -35,7 +35,7 @@ def always_good(image: DriveImage, name: str, now: float) -> Sample:
     return sample if sample.quality is Quality.NEVER_READ else replace(sample, quality=Quality.GOOD)
 
 
-async def without_gap(line: Any, frame: bytes) -> float:
+async def without_gap(line: Any, frame: bytes, _not_after: float = 0.0) -> float:
     """Send at once, whatever was on the line just now."""
     line._arrived.clear()
     line._opened.send(frame)
