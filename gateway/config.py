@@ -25,8 +25,12 @@ from pydantic import (
 )
 
 from gateway.errors import BadConfig
+from gateway.protocol.timing import LineTiming
 
 DURATION = re.compile(r"^(\d+(?:\.\d+)?)\s*(ms|s|min|h)$")
+SERVER_SCHEMES = ("socket://", "rfc2217://")
+ROUNDING = 1e-6  # what multiplying a duration may be off by
+RTS_KEYS = ("rts_on_send", "rts_delay_before", "rts_delay_after")  # of a line, the delays last
 SECONDS = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0}
 
 def seconds(value: object) -> float:
@@ -278,15 +282,22 @@ class GroupSection(Section):
     name: TopicLevel
     drives: list[TopicLevel] = Field(min_length=1)
 
+def server_address(port: str) -> tuple[str, int] | None:
+    """Return host and port of a serial server; None for a device, ValueError where the address is no address."""
+    scheme = next((scheme for scheme in SERVER_SCHEMES if port.startswith(scheme)), None)
+    return None if scheme is None else address(port.removeprefix(scheme))
+
 def _port(value: str) -> str:
-    if "://" in value and not value.startswith("socket://"):
-        raise ValueError('a serial device or a serial server is wanted: "/dev/ttyUSB0", "socket://10.0.0.7:4001"')
     if "\0" in value:
         raise ValueError("a path or an address cannot contain a NUL character")
-    if value.startswith("socket://"):
-        address(value.removeprefix("socket://"))
-    elif not value.startswith("/"):
-        raise ValueError(f'give the whole path: "/dev/{value}"')
+    if server_address(value) is None:
+        if "://" in value:
+            raise ValueError(
+                'a serial device or a serial server is wanted: "/dev/ttyUSB0", "socket://10.0.0.7:4001",'
+                ' "rfc2217://10.0.0.7:4001"'
+            )
+        if not value.startswith("/"):
+            raise ValueError(f'give the whole path: "/dev/{value}"')
     return value
 
 class LineSection(Section):
@@ -299,11 +310,38 @@ class LineSection(Section):
     answer_margin: Duration | None = Field(
         None, gt=0, le=5, description="time for adapters and networks beside the drive's own"
     )
+    rs485: Literal["auto", "kernel", "rts", "off"] = Field(
+        "auto", description="who switches between sending and receiving: the adapter, its driver, the gateway by RTS"
+    )
+    rts_on_send: bool = Field(True, description="RTS is asserted while sending and at no other time; false: reversed")
+    rts_delay_before: Duration = Field(0.0, ge=0, le=0.1, description="from RTS to the first bit")
+    rts_delay_after: Duration = Field(0.0, ge=0, le=0.1, description="from the last bit to RTS; less than the gap")
+    local_echo: Literal["auto", "on", "off"] = Field("auto", description="the adapter hears what it sends itself")
     silent_share: float = Field(0.05, gt=0, le=0.5, description="share of the line for silent drives")
     probe_every: Duration = Field(seconds("1s"), gt=0, description="first interval of tries")
     probe_at_most: Duration = Field(seconds("5s"), gt=0, description="longest interval of tries")
     drive: list[DriveSection] = Field(min_length=1)
     group: list[GroupSection] = Field([], description="drives that are written to together")
+
+    @model_validator(mode="after")
+    def _switchable(self) -> LineSection:
+        """Refuse settings of RTS that would do nothing, or spoil every answer."""
+        has_rts = self.rs485 in ("kernel", "rts")
+        if has_rts and server_address(self.port) is not None:
+            raise ValueError(f'rs485 = "{self.rs485}" is for serial devices; a serial server switches by itself')
+        given = [key for key in RTS_KEYS if key in self.model_fields_set]
+        if given and not has_rts:
+            raise ValueError(f'{" and ".join(given)}: only with rs485 = "kernel" or "rts"')
+        gap = LineTiming(self.baud).gap
+        if self.rts_delay_after >= gap:
+            raise ValueError(
+                f"rts_delay_after {self.rts_delay_after * 1000:g} ms cuts off answers, which begin"
+                f" {gap * 1000:.2f} ms after a request: set it below"
+            )
+        for key in RTS_KEYS[1:] if self.rs485 == "kernel" else ():
+            if abs((delay := 1000 * getattr(self, key)) - round(delay)) > ROUNDING:
+                raise ValueError(f'{key}: the kernel counts whole milliseconds; rs485 = "rts" does not')
+        return self
 
 class Config(Section):
     """The whole file."""

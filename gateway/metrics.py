@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from array import array
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate
+from math import ceil
 
 ANSWER_BOUNDS = (0.005, 0.01, 0.015, 0.02, 0.03, 0.05, 0.1, 0.25, 0.5, 1.0)  # seconds
+QUANTILES = (0.5, 0.95, 0.99)
+LATEST = 1024  # answers of one drive that quantiles are taken from: 25 s of a drive that has its line to itself
 GAP_BOUNDS = (0.001, 0.002, 0.0025, 0.003, 0.005, 0.01, 0.05, 0.1, 0.5, 1.0, 5.0)  # seconds
 
 
@@ -49,9 +53,39 @@ class Histogram:
         return self.bounds[-1]
 
 
+class AnswerTimes(Histogram):
+    """How long answers took: counted by bounds, the latest kept for exact quantiles, the longest for good."""
+
+    __slots__ = ("_latest", "_place", "longest")
+
+    def __init__(self) -> None:
+        super().__init__(ANSWER_BOUNDS)
+        self._latest = array("d")
+        self._place = 0
+        self.longest = 0.0
+
+    def observe(self, value: float) -> None:
+        """Count one answer; the oldest of the latest gives way."""
+        super().observe(value)
+        self.longest = max(self.longest, value)
+        if len(self._latest) < LATEST:
+            self._latest.append(value)
+        else:
+            self._latest[self._place] = value
+            self._place = (self._place + 1) % LATEST
+
+    def latest(self) -> dict[float, float]:
+        """Return the quantiles of the latest answers, each a time that was measured; none before the first."""
+        ordered = sorted(self._latest)
+        return {share: ordered[ceil(share * len(ordered)) - 1] for share in QUANTILES if ordered}
+
+
 @dataclass(slots=True)
 class LineStats:
-    """One RS485 line. `busy` sums the seconds in which the wire and the drives were necessarily busy."""
+    """One RS485 line. `busy` sums the seconds in which the wire and the drives were necessarily busy.
+
+    `is_low_latency` and `has_echo` say what is known of the adapter, None for nothing.
+    """
 
     is_up: bool = False
     opened: int = 0
@@ -61,6 +95,8 @@ class LineStats:
     gaps: Histogram = field(default_factory=lambda: Histogram(GAP_BOUNDS))
     load: float = 0.0
     rate: float = 0.0
+    is_low_latency: bool | None = None
+    has_echo: bool | None = None
 
 
 @dataclass(slots=True)
@@ -77,7 +113,7 @@ class DriveStats:
     timeouts: int = 0
     bad_replies: int = 0
     refusals: int = 0
-    answers: Histogram = field(default_factory=lambda: Histogram(ANSWER_BOUNDS))
+    answers: AnswerTimes = field(default_factory=AnswerTimes)
     longest_gap: float = 0.0
     last_heard: float = float("-inf")
     eeprom_writes: Counter[int] = field(default_factory=Counter)

@@ -20,8 +20,10 @@ from gateway.protocol.pdu import ReadWords
 from gateway.protocol.registry import PROTOCOLS
 from gateway.protocol.timing import LineTiming
 
+BOARD_MARGIN = 0.020  # seconds; a port on the board adds the kernel's time alone
 SERIAL_MARGIN = 0.050  # seconds; a USB adapter without low-latency mode holds an answer back by up to 16 ms
 SOCKET_MARGIN = 0.250  # seconds; a serial server adds its packing time and the network's
+BOARD_PORTS = ("ttyAMA", "ttyS", "ttyO", "ttyPS", "ttymxc", "ttySC", "serial")  # how UARTs of boards are named
 LEAST_MAX_AGE = 1.0  # seconds; below it, one lost frame would make a value stale
 MAX_AGE_PERIODS = 3
 
@@ -106,6 +108,11 @@ class Line:
     probe_at_most: float
     drives: tuple[Drive, ...]
     groups: tuple[DriveGroup, ...] = ()
+    rs485: str = "auto"
+    rts_on_send: bool = True
+    rts_delay_before: float = 0.0
+    rts_delay_after: float = 0.0
+    local_echo: str = "auto"
 
     @property
     def timing(self) -> LineTiming:
@@ -115,7 +122,7 @@ class Line:
     @property
     def is_network(self) -> bool:
         """Say whether the port is a serial server on the network."""
-        return self.port.startswith("socket://")
+        return configuration.server_address(self.port) is not None
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,8 +286,16 @@ def _unknown_values(label: str, drive: DriveSection, model: Model) -> Iterator[s
         yield f"{label}.{key}: {model.name} has no value {name!r}{hint}"
 
 
+def usual_margin(port: str) -> float:
+    """Return what a kind of port may add to a drive's answer time, in seconds."""
+    if configuration.server_address(port) is not None:
+        return SOCKET_MARGIN
+    folder, _, name = port.rpartition("/")
+    is_on_board = folder == "/dev" and name.rstrip("0123456789") in BOARD_PORTS
+    return BOARD_MARGIN if is_on_board else SERIAL_MARGIN
+
+
 def _line(section: LineSection, models: Catalogue) -> Line:
-    is_network = section.port.startswith("socket://")
     timing = LineTiming(section.baud)
     pace = _pace(section, models, timing)
     return Line(
@@ -288,12 +303,17 @@ def _line(section: LineSection, models: Catalogue) -> Line:
         port=section.port,
         baud=section.baud,
         parity=section.parity,
-        margin=section.answer_margin or (SOCKET_MARGIN if is_network else SERIAL_MARGIN),
+        margin=(section.answer_margin or usual_margin(section.port)) + section.rts_delay_before,
         silent_share=section.silent_share,
         probe_every=section.probe_every,
         probe_at_most=section.probe_at_most,
         drives=tuple(_drive(section.name, drive, models[drive.model], pace) for drive in section.drive),
         groups=tuple(DriveGroup(group.name, tuple(group.drives)) for group in section.group),
+        rs485=section.rs485,
+        rts_on_send=section.rts_on_send,
+        rts_delay_before=section.rts_delay_before,
+        rts_delay_after=section.rts_delay_after,
+        local_echo=section.local_echo,
     )
 
 

@@ -123,7 +123,11 @@ DRIVE = ("line", 0, "drive", 0)
         (("line", 0, "baud"), 115200, "line[0].baud (a): Input should be 9600, 19200 or 38400"),
         (("line", 0, "parity"), "mark", "'even', 'odd' or 'none'"),
         (("line", 0, "port"), "ttyUSB0", 'give the whole path: "/dev/ttyUSB0"'),
-        (("line", 0, "port"), "rfc2217://x:1", "socket://10.0.0.7:4001"),
+        (("line", 0, "port"), "telnet://x:1", '"socket://10.0.0.7:4001", "rfc2217://10.0.0.7:4001"'),
+        (("line", 0, "port"), "rfc2217://10.0.0.7", "an address and a port are wanted"),
+        (("line", 0, "rs485"), "yes", "'auto', 'kernel', 'rts' or 'off'"),
+        (("line", 0, "local_echo"), True, "'auto', 'on' or 'off'"),
+        (("line", 0, "rts_on_send"), False, 'line[0] (a): rts_on_send: only with rs485 = "kernel" or "rts"'),
         (("line", 0, "port"), "socket://10.0.0.7", "an address and a port are wanted"),
         ((*DRIVE, "number"), 0, "line[0].drive[0] (pump-1).number: modbus-rtu has the numbers 1 to 247"),
         ((*DRIVE, "number"), -1, "line[0].drive[0].number (a) (pump-1)"),
@@ -163,6 +167,34 @@ def test_a_wrong_value_is_named_with_its_key_and_what_would_be_right(
     lines = errors(wrong_at(*keys, value=value))
     assert any(said in line for line in lines), lines
     assert all(line.startswith("gateway.toml: ") for line in lines)
+
+
+@pytest.mark.hazard("H34")
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ({"port": "socket://10.0.0.7:4001", "rs485": "rts"}, 'rs485 = "rts" is for serial devices'),
+        ({"rs485": "kernel", "rts_delay_before": "1.5ms"}, "rts_delay_before: the kernel counts whole milliseconds"),
+        ({"rs485": "rts", "rts_delay_after": "3ms"}, "rts_delay_after 3 ms cuts off answers, which begin 2.01 ms"),
+        ({"rs485": "off", "rts_delay_after": "1ms", "rts_on_send": True}, "rts_on_send and rts_delay_after: only"),
+    ],
+)
+def test_settings_of_rts_that_do_nothing_or_spoil_answers_are_refused(line: dict[str, Any], said: str) -> None:
+    """What the operator asked for is done or refused, never passed over."""
+    wrong = table()
+    wrong["line"][0] |= line
+    assert any(said in each for each in errors(wrong)), errors(wrong)
+
+
+def test_each_kind_of_port_has_its_own_margin() -> None:
+    """A port on the board adds least, a network most; the time before the first bit comes on top."""
+    margins = {}
+    for port in ("/dev/ttyAMA0", "/dev/ttyS1", "/dev/ttyUSB0", "/dev/serial/by-id/x", "socket://h:1", "rfc2217://h:1"):
+        margins[port] = build(wrong_at("line", 0, "port", value=port)).lines[0].margin
+    assert list(margins.values()) == [0.02, 0.02, 0.05, 0.05, 0.25, 0.25]
+    delayed = table()
+    delayed["line"][0] |= {"rs485": "rts", "rts_delay_before": "1.5ms", "answer_margin": "10ms"}
+    assert build(delayed).lines[0].margin == pytest.approx(0.0115)
 
 
 @pytest.mark.hazard("H34")

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.metrics import ANSWER_BOUNDS, GAP_BOUNDS, Histogram, LineStats, Stats
+from gateway.metrics import ANSWER_BOUNDS, GAP_BOUNDS, LATEST, AnswerTimes, Histogram, LineStats, Stats
 
 
 def test_an_observation_is_counted_under_the_first_bound_that_holds_it() -> None:
@@ -61,3 +61,28 @@ def test_stats_of_two_lines_are_apart() -> None:
     assert not second.errors
     assert second.gaps.count == 0
     assert Stats(started=1.0).lines is not Stats(started=1.0).lines
+
+
+def test_answer_times_have_exact_quantiles_of_the_latest_and_the_longest_of_all() -> None:
+    """Each quantile was measured; what is older than the latest no longer counts, but for the longest."""
+    times = AnswerTimes()
+    assert times.latest() == {}
+    times.observe(0.5)
+    for place in range(LATEST):
+        times.observe((place % 100 + 1) / 1000)
+    assert times.latest() == pytest.approx({0.5: 0.05, 0.95: 0.095, 0.99: 0.099}, abs=0.0021)
+    assert times.longest == 0.5
+    assert times.count == LATEST + 1
+
+
+@given(st.lists(st.floats(min_value=0, max_value=10), min_size=1, max_size=3 * LATEST))
+def test_a_quantile_of_answer_times_has_its_share_of_the_latest_below_it(values: list[float]) -> None:
+    """And not a smaller one of them has: as many as the share says, rounded up."""
+    times = AnswerTimes()
+    for value in values:
+        times.observe(value)
+    window = values[-LATEST:]
+    for share, seconds in times.latest().items():
+        assert seconds in window
+        assert sum(value <= seconds for value in window) >= share * len(window)
+        assert sum(value < seconds for value in window) < share * len(window) + 1

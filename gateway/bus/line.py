@@ -13,6 +13,16 @@ class Line(Protocol):
         """Say whether the port is a pseudo-terminal: no real line, so its timing proves nothing."""
         ...
 
+    @property
+    def may_be_simulated(self) -> bool:
+        """Say whether drives without wire timing may be behind the port: it leads to this machine alone."""
+        ...
+
+    @property
+    def is_low_latency(self) -> bool | None:
+        """Say whether the driver hands bytes on at once; None where there is no driver that could hold them back."""
+        ...
+
     async def quiet(self) -> None:
         """Wait for the gap; BadReply where the line does not become quiet within a second."""
         ...

@@ -4,23 +4,40 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import math
 import os
 import socket
 import termios
+from dataclasses import dataclass
 from pathlib import Path
 
 import serial
 
 from gateway import site
+from gateway.bus.adapter import (
+    NotSwitched,
+    Rts,
+    RtsSwitch,
+    end_kernel_mode,
+    is_kernel_mode,
+    keep_levels_after_close,
+    set_kernel_mode,
+    set_low_latency,
+)
+from gateway.bus.holder import holder
+from gateway.bus.rfc2217 import ComPort
+from gateway.bus.serial_server import connect, is_on_this_machine
 from gateway.clock import Clock
-from gateway.config import address
 from gateway.errors import BadReply, LineDown, TooLate
 from gateway.protocol.timing import LineTiming
 
+log = logging.getLogger("gateway.bus")
+
 READ_SIZE = 4096  # bytes taken from the port at once; an answer has at most 64
 NEVER_QUIET = 1.0  # seconds without a gap, after which waiting for one is given up
-CONNECT_TIMEOUT = 5.0  # seconds for a serial server to accept
+NEVER_SENT = 0.1  # seconds after its computed end in which a frame must have left
+SENT_STEP = 0.0002  # seconds between two looks whether it has
 PTY_MAJORS = range(136, 144)  # Linux device numbers of pseudo-terminals
 
 PARITIES = {"even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD, "none": serial.PARITY_NONE}
@@ -28,33 +45,86 @@ PARITIES = {"even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD, "none": serial
 
 async def open_line(line: site.Line, clock: Clock) -> DescriptorLine:
     """Open the port of a line, exclusively; LineDown says why not, and who holds it."""
-    loop = asyncio.get_running_loop()
-    opened: serial.Serial | socket.socket
     if line.is_network:
-        opened = await loop.run_in_executor(None, _connect, line)
-    else:
-        opened = await loop.run_in_executor(None, _open_device, line)
-    return DescriptorLine(line.port, opened, line.timing, clock, is_pty=_is_pty(line.port))
+        connection, com_port = await connect(line, _stop_bits(line.parity))
+        port = DescriptorLine(line.port, connection, line.timing, clock, is_pty=False, com_port=com_port)
+        port.may_be_simulated = is_on_this_machine(connection)
+        return port
+    loop = asyncio.get_running_loop()
+    device = await loop.run_in_executor(None, _open_device, line)
+    return DescriptorLine(line.port, device.port, line.timing, clock, is_pty=_is_pty(line.port), switching=device)
 
 
-def _open_device(line: site.Line) -> serial.Serial:
+@dataclass(frozen=True, slots=True)
+class Device:
+    """A serial device that is open, and how it switches between sending and receiving.
+
+    `delay` is what the driver waits for before each first bit, in seconds; `switch` is RTS, where the gateway has it.
+    """
+
+    port: serial.Serial
+    is_low_latency: bool | None = None
+    delay: float = 0.0
+    switch: RtsSwitch | None = None
+
+
+def _stop_bits(parity: str) -> int:
+    """Return 2 where there is no parity bit: a character has 11 bits either way."""
+    return 2 if parity == "none" else 1
+
+
+def _open_device(line: site.Line) -> Device:
     """Open a serial device: 8 bits, the configured parity; 2 stop bits where there is no parity bit.
 
     A pseudo-terminal drops parity and refuses a change that changes nothing else: it is opened as 8N2.
     """
-    parity = "none" if _is_pty(line.port) else line.parity
-    stop_bits = serial.STOPBITS_TWO if parity == "none" else serial.STOPBITS_ONE
+    is_pty = _is_pty(line.port)
+    parity = "none" if is_pty else line.parity
+    port = serial.Serial(
+        None, line.baud, parity=PARITIES[parity], stopbits=_stop_bits(parity), timeout=0, exclusive=True
+    )
+    port.port = line.port
+    if line.rs485 in ("kernel", "rts"):
+        port.rts = not line.rts_on_send  # a transceiver does not see it change while the port is opened
     try:
-        port = serial.Serial(
-            line.port, line.baud, parity=PARITIES[parity], stopbits=stop_bits, timeout=0, exclusive=True
-        )
+        port.open()
     except (OSError, serial.SerialException, termios.error, ValueError) as error:
         raise LineDown(f"{line.port}: {_reason(line.port, error)}") from error
-    if not _is_pty(line.port):
-        with contextlib.suppress(OSError, ValueError, serial.SerialException, termios.error):
-            port.set_low_latency_mode(True)  # not every driver has it
-    os.set_blocking(port.fileno(), False)
-    return port
+    try:
+        os.set_blocking(port.fileno(), False)
+        return _set_up(port, line, is_pty=is_pty)
+    except NotSwitched as error:
+        port.close()
+        raise LineDown(f"{line.port}: {error}") from error
+    except (OSError, termios.error) as error:
+        port.close()
+        raise LineDown(f"{line.port}: {_reason(line.port, error)}") from error
+
+
+def _set_up(port: serial.Serial, line: site.Line, *, is_pty: bool) -> Device:
+    """Have the line switched as configured, and nothing held back; NotSwitched where that is not to be had."""
+    fd, rts = port.fileno(), Rts(line.rts_on_send, line.rts_delay_before, line.rts_delay_after)
+    switch, delay = None, 0.0
+    if line.rs485 == "kernel":
+        set_kernel_mode(fd, line.port, rts, hears_itself=line.local_echo == "on")
+        delay = rts.delay_before
+    elif line.rs485 != "auto":
+        end_kernel_mode(fd, line.port)
+    elif is_kernel_mode(fd):
+        log.info("line %s: the kernel's driver switches the line, as the system has set it", line.name)
+    if line.rs485 == "rts":
+        switch = RtsSwitch(fd, rts)
+        switch.check(line.port)
+        if not rts.on_send:
+            keep_levels_after_close(fd)
+    if is_pty:
+        return Device(port, None, delay, switch)
+    latency = set_low_latency(fd, line.port)
+    if latency.is_low is False:
+        log.warning("line %s: %s: %s; %s", line.name, line.port, latency.said, latency.remedy)
+    else:
+        log.info("line %s: %s: %s", line.name, line.port, latency.said)
+    return Device(port, latency.is_low, delay, switch)
 
 
 def _reason(port: str, error: Exception) -> str:
@@ -62,43 +132,10 @@ def _reason(port: str, error: Exception) -> str:
         return "no such device; is the adapter plugged in, and line.port right?"
     if isinstance(error, PermissionError) or getattr(error, "errno", None) == 13:
         return "permission denied; the user of the gateway must be in the group that owns the device (dialout)"
-    holder = _holder(port)
     if "exclusively lock" in str(error) or getattr(error, "errno", None) in (11, 16):
-        return f"in use by {holder or 'another process'}; two masters on one line cannot work: end the other one"
+        who = holder(port) or "another process"
+        return f"in use by {who}; two masters on one line cannot work: end the other one"
     return str(error)
-
-
-def _holder(port: str) -> str | None:
-    """Say which other process has the device: the one with the lock, or else one that has it open."""
-    found = _lock_holder(port)
-    if found is None:
-        device = os.path.realpath(port)
-        others = (entry for entry in Path("/proc").glob("[0-9]*") if entry.name != str(os.getpid()))
-        found = next((entry.name for entry in others if _has_open(entry, device)), None)
-    if found is None:
-        return None
-    with contextlib.suppress(OSError):
-        command = Path(f"/proc/{found}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
-        return f"process {found} ({command.strip()[:80]})"
-    return f"process {found}"
-
-
-def _lock_holder(port: str) -> str | None:
-    """Return the id of the process that holds the exclusive lock, from /proc/locks (proc(5))."""
-    with contextlib.suppress(OSError):
-        inode = str(Path(port).stat().st_ino)
-        for line in Path("/proc/locks").read_text().splitlines():
-            fields = line.split()
-            if fields[1] == "FLOCK" and fields[5].rpartition(":")[2] == inode:
-                return fields[4]
-    return None
-
-
-def _has_open(process: Path, device: str) -> bool:
-    """Say whether a process has the device open, as far as this user may see."""
-    with contextlib.suppress(OSError):
-        return any(os.path.realpath(link) == device for link in (process / "fd").iterdir())
-    return False
 
 
 def _is_pty(port: str) -> bool:
@@ -107,34 +144,34 @@ def _is_pty(port: str) -> bool:
     return False
 
 
-def _connect(line: site.Line) -> socket.socket:
-    host, port = address(line.port.removeprefix("socket://"))
-    try:
-        connection = socket.create_connection((host, port), CONNECT_TIMEOUT)
-    except (OSError, UnicodeError) as error:
-        raise LineDown(f"{line.port}: {error}; is the serial server on, and line.port right?") from error
-    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    connection.setblocking(False)
-    return connection
-
-
 class DescriptorLine:
     """A line behind a file descriptor; see gateway.bus.line.Line for the contract."""
 
     def __init__(
-        self, name: str, opened: serial.Serial | socket.socket, timing: LineTiming, clock: Clock, *, is_pty: bool
+        self,
+        name: str,
+        opened: serial.Serial | socket.socket,
+        timing: LineTiming,
+        clock: Clock,
+        *,
+        is_pty: bool,
+        switching: Device | None = None,
+        com_port: ComPort | None = None,
     ) -> None:
         self.name = name
         self.is_pty = is_pty
+        self.may_be_simulated = is_pty
+        self.is_low_latency = switching.is_low_latency if switching else None
         self._opened = opened
         self._fd: int = opened.fileno()
         self._timing = timing
         self._clock = clock
         self._alarm = clock.alarm()
         self._loop = asyncio.get_running_loop()
+        self._delay = switching.delay if switching else 0.0
+        self._switch = switching.switch if switching else None
+        self._com_port = com_port
         self._arrived = bytearray()
-        self._waiter: asyncio.Future[None] | None = None
         self._failure: LineDown | None = None
         self._is_closed = False
         self._quiet_since = clock.now()
@@ -153,30 +190,54 @@ class DescriptorLine:
     async def write(self, frame: bytes, not_after: float = math.inf) -> float:
         """Wait for the gap, discard what has arrived, send; return when the first bit left (monotonic)."""
         await self.quiet()
+        if self._switch is None:
+            return self._send(frame, not_after)
+        try:
+            return await self._switched(self._switch, frame, not_after)
+        except OSError as error:
+            raise self._fail(f"cannot switch RTS: {error.strerror}") from error
+
+    async def _switched(self, switch: RtsSwitch, frame: bytes, not_after: float) -> float:
+        """Send a frame with RTS round it: from before its first bit until its last has left."""
+        switch.send()
+        try:
+            await self._pause(self._clock.now() + switch.rts.delay_before)
+            begun = self._send(frame, not_after)
+            await self._pause(self._quiet_since)
+            patience = self._quiet_since + NEVER_SENT
+            while not switch.has_sent() and self._clock.now() < patience:
+                await self._pause(self._clock.now() + SENT_STEP)
+            await self._pause(self._clock.now() + switch.rts.delay_after)
+        finally:
+            switch.receive()
+        return begun
+
+    async def _pause(self, when: float) -> None:
+        while self._clock.now() < when:
+            await self._alarm.wait_until(when)
+            self._check()
+
+    def _send(self, frame: bytes, not_after: float) -> float:
+        """Hand a frame to the port, in one piece; return when its first bit leaves. TooLate: it was not sent."""
         self._arrived.clear()
-        begun = self._clock.now()
+        data = self._com_port.escaped(frame) if self._com_port else frame
+        begun = self._clock.now() + self._delay
         if begun > not_after:
             raise TooLate(f"{self.name}: the line was free too late")
         try:
-            sent = os.write(self._fd, frame)
+            sent = os.write(self._fd, data)
         except OSError as error:
             raise self._fail(f"cannot send: {error.strerror}") from error
-        if sent != len(frame):
-            raise self._fail(f"took {sent} of {len(frame)} bytes")
+        if sent != len(data):
+            raise self._fail(f"took {sent} of {len(data)} bytes")
         self._quiet_since = begun + self._timing.request(len(frame))
         return begun
 
     async def read(self, deadline: float) -> bytes:
         """Return what arrives next, b"" when nothing has arrived by the deadline (monotonic seconds)."""
         self._check()
-        if not self._arrived and (left := deadline - self._clock.now()) > 0:
-            self._waiter = self._loop.create_future()
-            timer = self._loop.call_later(left, self._wake)
-            try:
-                await self._waiter
-            finally:
-                timer.cancel()
-                self._waiter = None
+        while not self._arrived and self._clock.now() < deadline:
+            await self._alarm.wait_until(deadline)  # not by the loop's timers: uvloop's count whole milliseconds
             self._check()
         data = bytes(self._arrived)
         self._arrived.clear()
@@ -222,14 +283,20 @@ class DescriptorLine:
         except OSError as error:
             self._fail(f"gone: {error.strerror}")
         else:
+            if not data:
+                self._fail("closed by the other side")
+            elif self._com_port is not None and not (data := self._of_line(self._com_port, data)):
+                return
             if data:
                 self._quiet_since = max(self._quiet_since, self._clock.now())
                 if len(self._arrived) < READ_SIZE:
                     self._arrived += data
-            else:
-                self._fail("closed by the other side")
-        self._wake()
+        self._alarm.ring()
 
-    def _wake(self) -> None:
-        if self._waiter is not None and not self._waiter.done():
-            self._waiter.set_result(None)
+    def _of_line(self, com_port: ComPort, data: bytes) -> bytes:
+        """Return the bytes of the line in what a serial server sent, and answer the rest."""
+        data = com_port.feed(data)
+        if out := com_port.outgoing():
+            with contextlib.suppress(OSError):  # what it means is seen at the next request
+                os.write(self._fd, out)
+        return data

@@ -7,6 +7,7 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 
 from gateway import site
+from gateway.bus.echo import LocalEcho
 from gateway.bus.exchange import Exchanger
 from gateway.bus.line import Line
 from gateway.bus.serial_line import open_line
@@ -58,7 +59,8 @@ class Session:
         self.line = line
         self._port = port
         self._clock = clock
-        self._exchanger = Exchanger(port, line.timing, line.margin, clock, LineStats())
+        echo = LocalEcho(line.local_echo, line.name)
+        self._exchanger = Exchanger(port, line.timing, line.margin, clock, LineStats(), echo)
 
     # ---- exchanges
 

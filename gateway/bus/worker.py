@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from gateway import site
 from gateway.bus.blocks import Planner
 from gateway.bus.controls import Broadcast, Commanded, LineControls
+from gateway.bus.echo import LocalEcho
 from gateway.bus.exchange import Answered, Exchanger
 from gateway.bus.keepalive import Keepalive
 from gateway.bus.line import Line
@@ -83,6 +84,7 @@ class LineWorker:
     ) -> None:
         self._count_stored = count_stored
         self._is_rung = False  # since the next poll was chosen
+        self._opened_at = clock.now()
         self._line = line
         own = {drive.name: controls[drive.name] for drive in line.drives if controls and drive.name in controls}
         self._worst = worst_case(line)
@@ -115,7 +117,7 @@ class LineWorker:
                 try:
                     await self._serve()
                 except LineDown as error:
-                    wait = REOPEN_FIRST if self._stats.is_up else min(2 * wait, REOPEN_LAST)
+                    wait = REOPEN_FIRST if self._was_of_use else min(2 * wait, REOPEN_LAST)
                     self._down(str(error), wait)
                 await self._alarm.wait_until(self._clock.now() + wait)
         finally:
@@ -136,12 +138,19 @@ class LineWorker:
             station.image.set_link(station.link.hear(Heard.LINE_LOST), reason)
             self._tell_control(station, reason)
 
+    @property
+    def _was_of_use(self) -> bool:
+        """Say whether a drive has answered since the port was opened; a server may accept, and close at once."""
+        return any(station.stats.last_heard >= self._opened_at for station in self._stations.values())
+
     async def _serve(self) -> None:
+        self._opened_at = self._clock.now()
         port = await self._opener(self._line, self._clock)
         try:
             await port.drain(SETTLE, 2 * SETTLE)
             self._stats.is_up = True
             self._stats.opened += 1
+            self._stats.is_low_latency = port.is_low_latency
             log.info("line %s: %s is open, %d baud", self._line.name, self._line.port, self._line.baud)
             now = self._clock.now()
             for station in self._stations.values():
@@ -149,7 +158,8 @@ class LineWorker:
                 station.is_left_alone = False  # what its control wants is looked at before the first frame
                 station.image.set_link(station.link.state, "not heard yet")
                 self._schedule.probe(station.drive.name, station.reader.identify(), now)
-            exchanger = Exchanger(port, self._line.timing, self._line.margin, self._clock, self._stats)
+            echo = LocalEcho(self._line.local_echo, self._line.name)
+            exchanger = Exchanger(port, self._line.timing, self._line.margin, self._clock, self._stats, echo)
             while True:
                 await self._step(exchanger)
         finally:

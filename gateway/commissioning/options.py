@@ -29,7 +29,7 @@ OPTIONS: dict[str, Any] = {
     "group": _option(str | None, "the drives of a group of the file", FROM_FILE, metavar="NAME"),
     "everyone": _option(bool, "every drive of a line of the file", FROM_FILE, "--everyone"),
     "line": _option(str | None, "which line, with --everyone", FROM_FILE, metavar="NAME"),
-    "port": _option(str | None, "/dev/serial/by-id/..., or socket://host:port", ONE_DRIVE),
+    "port": _option(str | None, "/dev/serial/by-id/..., socket://host:port, rfc2217://host:port", ONE_DRIVE),
     "number": _option(int | None, "inverter number (F802)", ONE_DRIVE),
     "model": _option(str | None, "vf-nc3, vf-mb1, vf-as3, or one of your own", ONE_DRIVE),
     "protocol": _option(str, "modbus-rtu, toshiba-ascii or toshiba-binary (F829)", ONE_DRIVE),

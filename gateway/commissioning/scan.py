@@ -65,14 +65,14 @@ class Search:
     result: Result = field(default_factory=Result)
 
     @property
-    def is_network(self) -> bool:
-        """Say whether the port is a serial server."""
+    def has_fixed_settings(self) -> bool:
+        """Say whether the port is a serial server whose baud rate and parity cannot be set from here."""
         return self.wish.port.startswith("socket://")
 
     @property
     def margin(self) -> float:
         """Return the time for adapters and networks, beside the drive's own."""
-        return site.SOCKET_MARGIN if self.is_network else site.SERIAL_MARGIN
+        return site.usual_margin(self.wish.port)
 
     @property
     def processing(self) -> float:
@@ -120,9 +120,9 @@ async def _settings(search: Search) -> Sequence[Setting]:
         search.result.notes.append(
             "a pseudo-terminal has no parity and no baud rate: these are the ones tried, not those of the line behind"
         )
-    if search.is_network:
+    if search.has_fixed_settings:
         search.result.notes.append("baud rate and parity are set in the serial server, and were not tried")
-    has_any = not is_pty and not search.is_network
+    has_any = not is_pty and not search.has_fixed_settings
     has_baud = has_any or (is_pty and search.wish.is_each_baud)
     return scan_plan.settings(search.wish, has_parity=has_any, has_baud=has_baud)
 

@@ -83,7 +83,7 @@ class Bar(Lines):
 
 
 def scan(
-    port: Annotated[str, typer.Argument(help="/dev/serial/by-id/..., or socket://host:port")],
+    port: Annotated[str, typer.Argument(help="/dev/serial/by-id/..., socket://host:port, rfc2217://host:port")],
     baud: Annotated[list[int] | None, typer.Option(help="only this one; may be given several times")] = None,
     parity: Annotated[list[str] | None, typer.Option(help="only even, odd or none")] = None,
     protocol: Annotated[list[str] | None, typer.Option(help="only toshiba, or modbus-rtu")] = None,
@@ -148,7 +148,8 @@ def _longest(search: Search) -> str:
     """Say how long it takes where nobody answers."""
     wish, models = search.wish, search.models
     probes = scan_plan.everything(wish, models)
-    settings = scan_plan.settings(wish, has_parity=not search.is_network, has_baud=not search.is_network)
+    is_free = not search.has_fixed_settings
+    settings = scan_plan.settings(wish, has_parity=is_free, has_baud=is_free)
     total = sum(scan_plan.longest(probes, setting, search.processing, search.margin) for setting in settings)
     minutes, rest = divmod(int(total + 1), 60)
     return f"{minutes} min {rest} s" if minutes else f"{rest} s"

@@ -16,6 +16,8 @@ class TwinLine:
     """Keeps the contract of a serial line towards the bus: the gap is waited for, answers come in their time."""
 
     is_pty = False
+    may_be_simulated = False
+    is_low_latency = None
 
     def __init__(self, wire: Wire, timing: LineTiming, clock: Clock) -> None:
         self.wire = wire

@@ -21,7 +21,7 @@ from gateway import __version__
 from gateway.control.ledger import Ledger
 from gateway.control.state import Standing
 from gateway.image import DriveImage, Image, LinkState, Quality
-from gateway.metrics import DriveStats, Histogram, LineStats, MqttStats, Stats, TcpStats
+from gateway.metrics import LATEST, DriveStats, Histogram, LineStats, MqttStats, Stats, TcpStats
 from gateway.site import Site
 from gateway.web.page import age
 
@@ -71,6 +71,11 @@ OF_DRIVES: tuple[Number[DriveStats], ...] = (
     Number("tosvert_drive_timeouts_total", "Requests without an answer.", lambda drive: drive.timeouts),
     Number("tosvert_drive_bad_replies_total", "Answers that fit no request.", lambda drive: drive.bad_replies),
     Number("tosvert_drive_refusals_total", "Requests that the drive refused.", lambda drive: drive.refusals),
+    Number(
+        "tosvert_drive_answer_longest_seconds",
+        "Longest time from the end of a request to the end of its answer.",
+        lambda drive: drive.answers.longest,
+    ),
     Number(
         "tosvert_drive_longest_gap_seconds",
         "Longest time between two answers; the drive's F803 must be longer.",
@@ -139,6 +144,16 @@ def _of_lines(site: Site, stats: Stats) -> Iterator[Metric]:
         for kind, count in sorted(line.errors.items()):
             errors.add_metric((*of, kind), count)
     yield errors
+    text = "Whether the driver hands bytes on at once; absent where no driver could hold them back."
+    latencies = GaugeMetricFamily("tosvert_line_low_latency", text, labels=LINE)
+    text = "Whether the adapter echoes what it sends; absent until that is known."
+    echoes = GaugeMetricFamily("tosvert_line_local_echo", text, labels=LINE)
+    for of, line in each:
+        if line.is_low_latency is not None:
+            latencies.add_metric(of, line.is_low_latency)
+        if line.has_echo is not None:
+            echoes.add_metric(of, line.has_echo)
+    yield from (latencies, echoes)
     gaps = ((of, line.gaps) for of, line in each)
     yield _histogram("tosvert_line_gap_seconds", "Silence on the line before each request.", LINE, gaps)
 
@@ -150,6 +165,12 @@ def _of_drives(site: Site, stats: Stats) -> Iterator[Metric]:
     answers = ((of, drive.answers) for of, drive in each)
     text = "Time from the end of a request to the end of its answer."
     yield _histogram("tosvert_drive_answer_seconds", text, DRIVE, answers)
+    text = f"The same of the latest {LATEST} answers: the time within which that share of them came."
+    quantiles = GaugeMetricFamily("tosvert_drive_answer_quantile_seconds", text, labels=(*DRIVE, "quantile"))
+    for of, drive in each:
+        for share, seconds in drive.answers.latest().items():
+            quantiles.add_metric((*of, str(share)), seconds)
+    yield quantiles
     text = "Requests since the start that write the drive's EEPROM, by communication number."
     writes = CounterMetricFamily("tosvert_drive_eeprom_writes_total", text, labels=(*DRIVE, "number"))
     for of, drive in each:

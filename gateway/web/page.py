@@ -133,6 +133,7 @@ def as_document(
                 "age": None if drive.age is None else round(drive.age, 3),
                 "quality": drive.quality.word,
                 **_standing(stats, drive.name),
+                **_answers(stats, drive.name),
                 "reasons": list(drive.reasons),
             }
             for drive in health.drives
@@ -148,6 +149,15 @@ def as_document(
 def _standing(stats: Stats, drive: str) -> dict[str, str]:
     of = stats.drives.get(drive)
     return {"control": of.standing} if of is not None and of.standing else {}
+
+
+def _answers(stats: Stats, drive: str) -> dict[str, dict[str, float]]:
+    """Return the quantiles of a drive's latest answer times and the longest of all, in seconds."""
+    of = stats.drives.get(drive)
+    if of is None or not (latest := of.answers.latest()):
+        return {}
+    times = {f"p{share:.0%}".removesuffix("%"): seconds for share, seconds in latest.items()}
+    return {"answer": {name: round(seconds, 5) for name, seconds in {**times, "longest": of.answers.longest}.items()}}
 
 
 def _utc(seconds: float) -> str:

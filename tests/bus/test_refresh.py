@@ -244,6 +244,8 @@ class ScriptedLine:
     """A quiet line on which one request is followed by one run of bytes, at some time, or by nothing."""
 
     is_pty = False
+    may_be_simulated = False
+    is_low_latency = None
 
     def __init__(self, timing: LineTiming, delay: float, size: int) -> None:
         self._timing, self._delay, self._left = timing, delay, size

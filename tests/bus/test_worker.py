@@ -274,3 +274,28 @@ def test_a_stranger_is_asked_ever_more_seldom_and_reported_once(caplog: pytest.L
 
     run(lambda: bench([{"number": 1, "model": "vf-mb1", "configured": "vf-nc3"}]), play)
     assert len([record for record in caplog.records if "mismatch" in record.getMessage()]) == 1
+
+
+def test_a_port_that_opens_and_is_lost_at_once_is_tried_ever_more_seldom() -> None:
+    """A serial server that has another client may accept and close; only a drive's answer proves a port."""
+
+    async def play(stage: Bench) -> None:
+        loop = asyncio.get_running_loop()
+        stage.wire.faults.add(Fault(Kind.CUT))
+        end = loop.time() + 120
+        while loop.time() < end:
+            opened = len(stage.twins)
+            while len(stage.twins) == opened:
+                await asyncio.sleep(0.01)
+            await asyncio.sleep(0.3)  # it is up by then
+            stage.twins[-1].unplug()
+        assert 10 <= len(stage.twins) <= 17
+        stage.wire.faults.clear()
+        await asyncio.sleep(15)
+        assert stage.link("d1") is LinkState.ONLINE
+        stage.twins[-1].unplug()
+        lost = len(stage.twins)
+        await asyncio.sleep(1.0)
+        assert len(stage.twins) == lost + 1
+
+    run(lambda: bench([nc3()]), play)

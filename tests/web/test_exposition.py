@@ -66,6 +66,7 @@ def busy() -> Rig:
     line, pump = rig.stats.lines["a"], rig.stats.drives["pump-1"]
     line.exchanges, line.busy, line.load = 1000, 41.5, 0.83
     line.errors.update(no_reply=3, bad_reply=1)
+    line.is_low_latency, line.has_echo = True, False
     for gap in (0.0021, 0.0024, 7.0):
         line.gaps.observe(gap)
     pump.exchanges, pump.timeouts, pump.bad_replies, pump.refusals, pump.longest_gap = 500, 3, 1, 2, 0.41
@@ -285,3 +286,26 @@ def test_a_problem_of_the_store_is_told(busy: Rig) -> None:
     assert value(busy, "tosvert_store_audit_dropped_total") == 6
     without = families(busy.built, busy.image, busy.stats, busy.clock.now())
     assert not [family.name for family in without if "store" in family.name or "lifetime" in family.name]
+
+
+def test_answer_times_are_told_as_quantiles_too() -> None:
+    """Exact ones of the latest answers, beside the histogram; none before the first answer."""
+    rig = Rig()
+    for milliseconds in range(1, 101):
+        rig.stats.drives["fan"].answers.observe(milliseconds / 1000)
+    of = {"line": "b", "drive": "fan"}
+    assert value(rig, "tosvert_drive_answer_quantile_seconds", **of, quantile="0.95") == 0.095
+    assert value(rig, "tosvert_drive_answer_longest_seconds", **of) == 0.1
+    told = {labels for name, labels in scraped(rig) if name == "tosvert_drive_answer_quantile_seconds"}
+    assert {dict(labels)["drive"] for labels in told} == {"fan"}
+
+
+@pytest.mark.parametrize(("is_known", "number"), [(True, 1.0), (False, 0.0)])
+def test_what_is_known_of_an_adapter_is_told(is_known: bool, number: float) -> None:
+    """Nothing is said of what is not known."""
+    rig = Rig()
+    assert ("tosvert_line_local_echo", frozenset({("line", "b")})) not in scraped(rig)
+    rig.stats.lines["a"].has_echo = rig.stats.lines["a"].is_low_latency = is_known
+    for name in ("tosvert_line_local_echo", "tosvert_line_low_latency"):
+        assert value(rig, name, line="a") == number
+        assert (name, frozenset({("line", "b")})) not in scraped(rig)

@@ -216,3 +216,12 @@ def test_how_a_drive_stands_to_commands_is_shown_where_it_is_controlled(rig: Rig
     drives = page.as_document(judged(rig), rig.built, rig.stats, WALL)["drives"]
     assert drives["fan"]["control"] == "quiet"
     assert "control" not in drives["pump-1"]
+
+
+def test_answer_times_are_shown_once_there_are_some(rig: Rig) -> None:
+    """The same quantiles as in the metrics, in seconds."""
+    for milliseconds in range(1, 101):
+        rig.stats.drives["fan"].answers.observe(milliseconds / 1000)
+    drives = page.as_document(judged(rig), rig.built, rig.stats, WALL)["drives"]
+    assert drives["fan"]["answer"] == {"p50": 0.05, "p95": 0.095, "p99": 0.099, "longest": 0.1}
+    assert "answer" not in drives["pump-1"]
