@@ -13,8 +13,8 @@ class Line(Protocol):
         """Say whether the port is a pseudo-terminal: no real line, so its timing proves nothing."""
         ...
 
-    async def quiet(self) -> None:
-        """Wait for the gap; BadReply where the line does not become quiet within a second."""
+    async def quiet(self) -> float:
+        """Wait for the gap; return since when it is quiet. BadReply where it is not within a second."""
         ...
 
     async def write(self, frame: bytes, not_after: float = ...) -> float:
