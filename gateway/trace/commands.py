@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -49,7 +50,7 @@ def trace(
         except KeyboardInterrupt:
             return
         except BrokenPipeError:  # head, or Wireshark, has seen enough
-            sys.stderr.close()
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left is for nobody
             return
     if follow and seconds is None:
         raise GatewayError("the gateway has ended")

@@ -24,7 +24,7 @@ log = logging.getLogger("gateway.trace")
 QUEUE = 20_000  # things told that may wait for a slow disk
 EVERY = 0.2  # seconds between two writes
 LAST_WORDS = 5.0  # seconds that the end of the gateway waits for the disk
-AT_ONCE = 20  # things told that are worked on before others are let to the processor
+AT_ONCE = 5  # things told that are worked on before others are let to the processor: a millisecond
 BREATH = 0.001  # seconds
 LARGEST = 1 << 30  # bytes of a capture: whoever forgets it shall not fill the disk
 

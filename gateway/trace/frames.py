@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
@@ -50,8 +50,19 @@ class Frame:
 
     def as_table(self) -> dict[str, Any]:
         """Return it as JSON has it; `of_table` is the way back."""
-        table = {key: value for key, value in asdict(self).items() if value is not None}
-        return table | {"way": self.way.value, "verdict": self.verdict.value, "data": self.data.hex()}
+        return {
+            "line": self.line,
+            "way": self.way.value,
+            "begin": self.begin,
+            "end": self.end,
+            "data": self.data.hex(),
+            "protocol": self.protocol,
+            "verdict": self.verdict.value,
+            "meaning": self.meaning,
+            "note": self.note,
+            "gap": self.gap,
+            "after": self.after,
+        }
 
     @classmethod
     def of_table(cls, table: dict[str, Any]) -> Frame:

@@ -31,8 +31,8 @@ def packet(place: int, protocol: str, data: bytes, *, is_request: bool, is_whole
     """Return the packet of a frame on the line with that place, from 0; a damaged frame is shown as bytes."""
     is_modbus = protocol == MODBUS_RTU
     dissector = "mbrtu" if is_modbus and is_whole else "data"
-    master = (_address(MASTER), MASTER_PORT)
-    line = (_address(MASTER + 1 + place % MOST_LINES), MODBUS_PORT if is_modbus else TOSHIBA_PORT)
+    master = (address(MASTER), MASTER_PORT)
+    line = (address(MASTER + 1 + place % MOST_LINES), MODBUS_PORT if is_modbus else TOSHIBA_PORT)
     source, target = (master, line) if is_request else (line, master)
     return b"".join(
         (
@@ -49,7 +49,8 @@ def packet(place: int, protocol: str, data: bytes, *, is_request: bool, is_whole
     )
 
 
-def _address(host: int) -> bytes:
+def address(host: int) -> bytes:
+    """Return the IPv4 address of the gateway (MASTER), or of a line: the first has MASTER + 1."""
     return bytes((*DOCUMENTATION, host))
 
 

@@ -28,7 +28,7 @@ LONGEST_REQUEST = 1024  # bytes
 PATIENCE = 5.0  # seconds for a client to say what it wants, or to take what it asked for
 MOST_UNREAD = 262_144  # bytes that may wait for one client; further frames are lost to it, and counted
 MOST_PENDING = 1000  # things told that wait to be sent
-AT_ONCE = 10  # things told that are worked on before the lines are served again
+AT_ONCE = 2  # things told that are worked on before the lines are served again: half a millisecond
 
 RING, FOLLOW = "ring", "follow"
 

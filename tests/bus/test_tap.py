@@ -106,7 +106,6 @@ def test_times_are_those_of_the_wire() -> None:
     assert [frame.gap for frame in asked_[1:]] == pytest.approx([timing.gap] * 2)
 
 
-@pytest.mark.hazard("H15")
 @every_protocol
 def test_an_echo_is_told_from_an_answer(protocol: str) -> None:
     """Of a read and of a write, which is answered by the same bytes."""
@@ -135,7 +134,6 @@ def test_what_goes_wrong_is_told(fault: Fault, expected: list[tuple[str, Verdict
     assert b"".join(frame.data for frame in made.frames()) == made.on_the_wire()
 
 
-@pytest.mark.hazard("H16")
 def test_an_answer_after_all_patience_is_told_before_the_next_request() -> None:
     """It is thrown away, and yet seen."""
 
@@ -161,7 +159,6 @@ def test_a_fault_reset_that_is_not_answered_is_no_silence() -> None:
     assert asked(WriteRam(1, 0xFA00, 0x2000, is_answered=False)).verdicts()[0] == ("->", V.NOT_AWAITED)
 
 
-@pytest.mark.hazard("H14")
 def test_a_port_that_is_lost_in_the_middle_is_told() -> None:
     """With what was sent."""
 

@@ -163,7 +163,6 @@ def test_following_shows_frames_as_they_come_until_ctrl_c(tmp_path: Path) -> Non
         assert plant.process.poll() is None
 
 
-@pytest.mark.hazard("H25")
 def test_those_who_do_not_read_harm_nobody(tmp_path: Path) -> None:
     """Four that never read: another one misses nothing, and the line keeps its pace."""
     with running(tmp_path) as plant, ExitStack() as stack:
@@ -182,7 +181,6 @@ def test_those_who_do_not_read_harm_nobody(tmp_path: Path) -> None:
     assert len(dissected(tmp_path / "live.pcapng")) > 100
 
 
-@pytest.mark.hazard("H14")
 def test_a_fault_leaves_a_capture_of_what_was_before_and_after(tmp_path: Path) -> None:
     """A drive that falls silent; then a port that is pulled out. Both open in Wireshark."""
     with running(tmp_path) as plant:

@@ -134,7 +134,6 @@ async def test_without_a_follower_nothing_is_worked_on(tmp_path: Path) -> None:
         assert not made._pending
 
 
-@pytest.mark.hazard("H33")
 async def test_the_socket_is_for_its_owner_only(tmp_path: Path) -> None:
     """Mode 0600 from the beginning."""
     async with served(tmp_path):
@@ -191,7 +190,6 @@ async def test_what_a_killed_gateway_left_is_taken_away(tmp_path: Path) -> None:
         assert "trace" in await (await Client.at(tmp_path, RING)).table()
 
 
-@pytest.mark.hazard("H36")
 async def test_a_socket_that_is_served_is_left_alone(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """The second gateway goes on without, says so, and takes nothing away when it ends."""
     async with served(tmp_path):
