@@ -86,9 +86,20 @@ def cut(codec: Codec, request: Request, data: bytes) -> Cut | None:
     for piece in (data, b""):  # nothing at last: the line is silent
         decoder.feed(piece)
         if _is_whole(decoder):
-            left = decoder.received
-            return _around(data, left) if len(left) < len(data) else None
+            places = _places(data, decoder.received)
+            return next((place for place in places if _is_alone(codec, request, place.answer)), None)
     return None
+
+
+def _is_alone(codec: Codec, request: Request, data: bytes) -> bool:
+    """Say whether bytes are an answer and nothing else."""
+    decoder = codec.decoder(request)
+    decoder.feed(data)
+    if not _is_whole(decoder):
+        decoder.feed(b"")
+        if not _is_whole(decoder):
+            return False
+    return not decoder.received
 
 
 def _is_whole(decoder: Decoder) -> bool:
@@ -98,13 +109,12 @@ def _is_whole(decoder: Decoder) -> bool:
         return True
 
 
-def _around(data: bytes, left: bytes) -> Cut | None:
-    """Return where an answer was taken out of `data`, so that `left` remained; the last place of several."""
+def _places(data: bytes, left: bytes) -> Iterator[Cut]:
+    """Yield where an answer may have been taken out of `data`, so that `left` remained: nowhere if too much came."""
     size = len(data) - len(left)
-    for start in range(len(left), -1, -1):
+    for start in range(len(left) + 1):
         if data[:start] + data[start + size :] == left:
-            return Cut(data[:start], data[start : start + size], data[start + size :])
-    return None  # there was so much that the decoder forgot the beginning
+            yield Cut(data[:start], data[start : start + size], data[start + size :])
 
 
 def frames(line: str, told: Told, meaning: Meaning, offset: float) -> Iterator[Frame]:
