@@ -18,7 +18,7 @@ FROM python:3.11-slim
 RUN useradd --system --uid 10001 --groups dialout --no-create-home --shell /usr/sbin/nologin tosvert-gateway
 COPY --from=build /opt/tosvert-gateway /opt/tosvert-gateway
 COPY deploy/healthcheck.py /opt/tosvert-gateway/healthcheck.py
-ENV PATH=/opt/tosvert-gateway/bin:$PATH PYTHONDONTWRITEBYTECODE=1
+ENV PATH=/opt/tosvert-gateway/bin:$PATH PYTHONDONTWRITEBYTECODE=1 RUNTIME_DIRECTORY=/run/tosvert-gateway
 USER tosvert-gateway
 EXPOSE 5020 8080
 # Healthy means that all data are fresh. TOSVERT_WEB=host:port where [web] listens elsewhere than on port 8080.

@@ -23,6 +23,7 @@ from gateway.modbus_tcp.server import ModbusTcpServer
 from gateway.mqtt.bridge import Bridge
 from gateway.site import Site
 from gateway.store.store import Store
+from gateway.trace.tracing import Tracing
 from gateway.web.server import WebServer
 
 log = logging.getLogger("gateway")
@@ -41,6 +42,7 @@ class App:
     """One gateway. Parts that touch the world can be replaced: the clock, how a line is opened, and the ledger.
 
     `load` reads the configuration anew at SIGHUP; `successor` is then the site to go on with after `run`.
+    `tracing` is told of every frame.
     """
 
     def __init__(
@@ -50,12 +52,14 @@ class App:
         opener: Opener = open_line,
         ledger: Ledger | None = None,
         load: Callable[[], Site] | None = None,
+        tracing: Tracing | None = None,
     ) -> None:
         self.site = site
         self.successor: Site | None = None
         self.clock = clock or SystemClock()
         self.store = Store.of(site, self.clock) if ledger is None else None
         self._load = load
+        self._tracing = tracing
         self._loading: asyncio.Task[None] | None = None
         self._is_ending = False
         self.image = Image(site.drives)
@@ -74,6 +78,7 @@ class App:
                 opener,
                 self.door.controls,
                 self.door.ledger.note,
+                tracing.tap(line.name) if tracing is not None else None,
             )
             for line in site.lines
         ]
@@ -81,6 +86,9 @@ class App:
             self.stats.drives[name].standing = control.standing.value
         self.door.on_event(self._count_event)
         self.door.on_result(self._count_result)
+        if tracing is not None:
+            tracing.watch(self.image)
+            self.door.on_event(tracing.on_event)
         for line, worker in zip(site.lines, self.workers, strict=True):
             self.door.connect(LineBell(line.name, tuple(d.name for d in line.drives), worker.ring, worker.announce))
         self.bridge = (
@@ -147,6 +155,9 @@ class App:
         started = []
         if self.store is not None:
             self.store.start()
+        if self._tracing is not None:
+            loop.add_signal_handler(signal.SIGUSR1, self._tracing.write_now)
+            await self._tracing.start()
         try:
             for server in servers:
                 await server.start()
@@ -158,6 +169,8 @@ class App:
                 for server in reversed(started):
                     await server.stop()
             finally:
+                if self._tracing is not None:
+                    await self._tracing.stop()
                 if self.store is not None:
                     await self.store.close()
 
@@ -170,6 +183,8 @@ class App:
         others = [_start("housekeeping", self._keep_house())]
         if self.bridge is not None:
             others.append(_start("mqtt", self.bridge.run()))
+        if self._tracing is not None:
+            others.append(_start("trace", self._tracing.run()))
         stop = asyncio.create_task(self._stop.wait())
         gc.collect()
         gc.freeze()  # what lives for ever is not searched again while a line waits

@@ -1,4 +1,4 @@
-"""The command line: run, check, map, schema, registers, simulate, demo; scan, read, write and their like; store."""
+"""The command line: run, check, map, schema, registers, simulate, demo; scan, read, write, ...; store; trace."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ from gateway.modbus_tcp import mapping
 from gateway.mqtt import topics
 from gateway.sim import runner, settings
 from gateway.store import commands as store
+from gateway.trace import commands as trace
+from gateway.trace.tracing import Tracing
 
 EXIT_UNAVAILABLE = 69  # sysexits(3): the numbers that service managers know
 EXIT_SOFTWARE = 70
@@ -83,11 +85,15 @@ def _options(
 def run(
     file: ConfigFile,
     loop: Annotated[str | None, typer.Option(help="uvloop or asyncio, instead of gateway.loop")] = None,
+    record: Annotated[
+        Path | None, typer.Option("--trace", metavar="FILE.pcapng", help="capture every frame for Wireshark")
+    ] = None,
 ) -> None:
     """Run the gateway until SIGTERM or SIGINT."""
     configured = check.load(file)
     section = configured.config.gateway
-    logs.set_up(section.log.level, section.log.format)
+    show = [logs.SHOWN[name] for name in section.log.show]
+    logs.set_up(section.log.level, section.log.format, show=show)
     chosen = loop or section.loop
     if chosen not in ("uvloop", "asyncio"):
         raise BadConfig(f"--loop {chosen}: give uvloop or asyncio")
@@ -97,16 +103,17 @@ def run(
 
         factory = uvloop.new_event_loop
     with asyncio.Runner(loop_factory=factory) as runner_:
-        runner_.run(_run(configured, file))
+        runner_.run(_run(configured, file, record))
 
 
-async def _run(configured: site.Site, file: Path) -> None:
+async def _run(configured: site.Site, file: Path, record: Path | None) -> None:
     """Run the gateway; at SIGHUP with the file as it is then."""
     logs.watch_loop(asyncio.get_running_loop())
     successor: site.Site | None = configured
     while successor is not None:
         check.warn(successor, file)
-        gateway = App(successor, load=lambda: check.load(file))
+        tracing = Tracing(successor, record=record, is_continued=successor is not configured)
+        gateway = App(successor, load=lambda: check.load(file), tracing=tracing)
         await gateway.run()
         successor = gateway.successor
 
@@ -194,3 +201,4 @@ def demo(
 
 commissioning.add_to(app)
 store.add_to(app)
+trace.add_to(app)

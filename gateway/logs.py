@@ -20,6 +20,7 @@ POINTS = "gateway.points"  # values as they are decoded
 FRAMES = "gateway.bus.frames"  # requests and replies by their fields
 BYTES = "gateway.bus.bytes"  # what is on the wire, in hexadecimal
 CHANNELS = (POINTS, FRAMES, BYTES)
+SHOWN = {"points": POINTS, "frames": FRAMES, "bytes": BYTES}  # as gateway.log.show names them
 
 CHATTY = ("aiohttp", "amqtt", "asyncio", "paho", "pymodbus", "transitions")  # heard from warnings on
 

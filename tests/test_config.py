@@ -75,6 +75,7 @@ def test_the_example_of_everything_names_every_key() -> None:
         config.GatewaySection, config.LogSection, config.MqttSection, config.TlsSection, config.ModbusTcpSection,
         config.WebSection, config.LineSection, config.DriveSection, config.PollSection,
         config.StoreSection, config.StoredWritesSection, config.FrequencySection, config.RightSection,
+        config.TraceSection,
     ):
         for key in section.model_fields:
             assert f"{key} =" in shown or f"[{key}]" in shown or f".{key}]]" in shown or f"[[{key}]]" in shown, key

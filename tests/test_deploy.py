@@ -11,6 +11,7 @@ import pytest
 
 from gateway import cli
 from gateway.config import ModbusTcpSection, WebSection, address
+from gateway.trace import place
 
 ROOT = Path(__file__).parents[1]
 UNIT = (ROOT / "deploy" / "tosvert-gateway.service").read_text(encoding="utf-8")
@@ -44,6 +45,7 @@ def test_the_service_has_its_own_user_and_one_class_of_devices() -> None:
         assert settings(key) == ["yes"], key
     assert settings("ProtectSystem") == ["strict"]
     assert settings("StateDirectory") == ["tosvert-gateway"]
+    assert settings("RuntimeDirectory") == [place.SERVICE.name]
     assert settings("SystemCallFilter") == ["@system-service", "~@privileged @resources"]
 
 

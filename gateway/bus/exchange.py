@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from gateway.bus.echo import Listening, LocalEcho
 from gateway.bus.line import Line
 from gateway.clock import Clock
-from gateway.errors import BadReply, NoReply, Refused
+from gateway.errors import BadReply, LineDown, NoReply, Refused
 from gateway.metrics import LineStats
-from gateway.protocol.codec import Answering, Codec
+from gateway.protocol.codec import Answering, Codec, Decoder
 from gateway.protocol.pdu import Identity, Reply, Request
 from gateway.protocol.timing import LineTiming
+from gateway.trace.record import Hearing, Record, Tap, Unasked, Verdict
 
 log = logging.getLogger("gateway.bus")
-frames = logging.getLogger("gateway.bus.frames")
 
 EARLIEST = 0.85  # of the computed wire time; a line without parity has 10 bits where 11 are counted
 UNTIMED_AFTER = 2  # early answers in a row, none on time before: a pseudo-terminal without wire timing
@@ -44,7 +44,7 @@ class Exchanger:
 
     An answer sooner than the wire allows is no answer to this request and is dropped. Where there may be a simulator
     without wire timing, and only there, early answers are believed after the first ones. An adapter's echo is told
-    by its bytes once it is known.
+    by its bytes once it is known. A tap is told of every exchange, and of what came between two of them.
     """
 
     def __init__(
@@ -55,6 +55,7 @@ class Exchanger:
         clock: Clock,
         stats: LineStats,
         echo: LocalEcho | None = None,
+        tap: Tap | None = None,
     ) -> None:
         self._line = line
         self._timing = timing
@@ -63,6 +64,9 @@ class Exchanger:
         self._stats = stats
         self._echo = echo or LocalEcho()
         self._stats.has_echo = self._echo.is_present
+        self._tap = tap
+        self._heard = Hearing()
+        self._before: tuple[Codec, Request] | None = None
         self._early = 0
         self._is_untimed = False
         self._was_on_time = False
@@ -82,38 +86,67 @@ class Exchanger:
         has been drained. LineDown, NoSuchForm and TooLate pass through; after the latter two nothing was sent.
         """
         frame = codec.encode(request)
-        answering = codec.answering(request)
+        quiet_since = 0.0 if self._tap is None else await self._tell_unasked(self._tap)
         begun = await self._line.write(frame, not_after)
-        if is_traced := frames.isEnabledFor(logging.DEBUG):
-            frames.debug("tx %s", frame.hex(" "))
+        self._before = codec, request
         self._stats.exchanges += 1
         self._stats.gaps.observe(begun - self._last_end)
         sent = begun + self._timing.request(len(frame))
+        heard = self._heard = Hearing()
         reply: Reply | None = None
+        verdict, note = Verdict.BROKEN_OFF, ""
         try:
-            if answering is Answering.NEVER:
-                await self._let_pass(frame, sent + self._timing.gap + processing)
-            else:
-                reply = await self._answer(codec, request, frame, begun, sent, processing)
-        except NoReply:
-            await self._line.drain(self._timing.gap, self._margin)
-            if answering is not Answering.MAYBE:
+            reply = await self._converse(codec, request, frame, begun, sent, processing)
+            verdict = Verdict.NOT_AWAITED if reply is None else Verdict.ANSWERED
+        except (NoReply, BadReply) as error:
+            verdict, note = Verdict.of(error), str(error)
+            heard.end()
+            await self._drain()
+            if isinstance(error, BadReply) or codec.answering(request) is not Answering.MAYBE:
                 raise
-        except BadReply:
-            await self._line.drain(self._timing.gap, self._margin)
+            verdict, note = Verdict.NOT_AWAITED, ""
+        except (Refused, LineDown) as error:
+            verdict, note = Verdict.of(error), str(error)
             raise
         finally:
             done = self._clock.now()
             self._last_end = done
             self._stats.busy += done - begun + self._timing.gap
-        if is_traced:
-            frames.debug("rx %s after %.1f ms", reply, (done - sent) * 1000)
+            if self._tap is not None:
+                gap = begun - quiet_since
+                self._tap(Record(codec, request, frame, gap, begun, sent, done, heard, verdict, reply, note))
         return Answered(reply, begun, sent, done)
+
+    async def _converse(
+        self, codec: Codec, request: Request, frame: bytes, begun: float, sent: float, processing: float
+    ) -> Reply | None:
+        """Return the answer to a request that is being sent; None where nobody answers such a request."""
+        if codec.answering(request) is Answering.NEVER:
+            await self._let_pass(frame, sent + self._timing.gap + processing)
+            return None
+        return await self._answer(codec, request, frame, begun, sent, processing)
+
+    async def _tell_unasked(self, tap: Tap) -> float:
+        """Tell what came since the last exchange, before it is thrown away; return since when the line is quiet."""
+        since = self._clock.now()
+        try:
+            since = await self._line.quiet()
+        finally:
+            if data := await self._line.read(self._clock.now()):
+                tap(Unasked(since, data, self._before))
+        return since
+
+    async def _drain(self) -> None:
+        """Hear what still comes until the line has been quiet for a gap, or the margin is over; none of it counts."""
+        end = self._clock.now() + self._margin
+        while (now := self._clock.now()) < end and (data := await self._line.read(min(now + self._timing.gap, end))):
+            self._heard.take(self._clock.now(), data)
 
     async def _let_pass(self, frame: bytes, until: float) -> None:
         """Wait until the drives have worked on a request that nobody answers: they hear nothing before."""
         listening = self._echo.listen(frame)
         while data := await self._line.read(until):
+            self._heard.take(self._clock.now(), data)
             listening.take(data)
         if listening.is_damaged:
             self._stats.errors["collision"] += 1
@@ -139,7 +172,10 @@ class Exchanger:
         is_started = False
         while True:
             data = await self._line.read(deadline)
-            if data and self._clock.now() > deadline + STALE:
+            now = self._clock.now()
+            if data:
+                self._heard.take(now, data)
+            if data and now > deadline + STALE:
                 raise BadReply(f"number {request.number}: an answer that may have lain here for long: read too late")
             heard = listening.take(data)
             if data and not heard:
@@ -154,12 +190,12 @@ class Exchanger:
                 if self._is_believed(listening, decoder.received, begun, sent, least):
                     raise
                 reply = None
-                decoder = codec.decoder(request)
+                decoder = self._anew(codec, request)
             if reply is not None:
                 shortest = least if isinstance(reply, Identity) else size
                 if self._is_believed(listening, decoder.received, begun, sent, shortest):
                     return reply
-                decoder = codec.decoder(request)
+                decoder = self._anew(codec, request)
             if not data:
                 break
         raise self._unanswered(listening, request, decoder.received)
@@ -190,6 +226,11 @@ class Exchanger:
             return False
         listening.believe(junk)
         return True
+
+    def _anew(self, codec: Codec, request: Request) -> Decoder:
+        """Drop what has come as sooner than the wire allows, and wait for the answer from the beginning."""
+        self._heard.drop()
+        return codec.decoder(request)
 
     def _is_credible(self, begun: float, sent: float, answer: int) -> bool:
         """Say whether an answer may be whole by now; count and refuse it where the wire does not allow that."""

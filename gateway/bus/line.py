@@ -23,8 +23,8 @@ class Line(Protocol):
         """Say whether the driver hands bytes on at once; None where there is no driver that could hold them back."""
         ...
 
-    async def quiet(self) -> None:
-        """Wait for the gap; BadReply where the line does not become quiet within a second."""
+    async def quiet(self) -> float:
+        """Wait for the gap; return since when it is quiet. BadReply where it is not within a second."""
         ...
 
     async def write(self, frame: bytes, not_after: float = ...) -> float:

@@ -177,8 +177,8 @@ class DescriptorLine:
         self._quiet_since = clock.now()
         self._loop.add_reader(self._fd, self._take)
 
-    async def quiet(self) -> None:
-        """Wait for the gap."""
+    async def quiet(self) -> float:
+        """Wait for the gap; return since when the line is quiet (monotonic)."""
         self._check()
         patience = self._clock.now() + NEVER_QUIET
         while (when := self._quiet_since + self._timing.gap) > self._clock.now():
@@ -186,6 +186,7 @@ class DescriptorLine:
                 raise BadReply(f"{self.name}: the line is never quiet: something babbles, or another master talks")
             await self._alarm.wait_until(when)  # what arrives meanwhile moves the end of the gap
             self._check()
+        return self._quiet_since
 
     async def write(self, frame: bytes, not_after: float = math.inf) -> float:
         """Wait for the gap, discard what has arrived, send; return when the first bit left (monotonic)."""

@@ -26,9 +26,9 @@ from gateway.errors import BadReply, LineDown, NoReply, Refusal, Refused, TooLat
 from gateway.image import DriveImage, LinkState
 from gateway.metrics import DriveStats, LineStats
 from gateway.protocol.pdu import EVERY_DRIVE, ReadWords, Request, Words, WriteRam, WriteStored
+from gateway.trace.record import Tap
 
 log = logging.getLogger("gateway.bus")
-frames = logging.getLogger("gateway.bus.frames")
 
 REOPEN_FIRST = 0.5  # seconds; doubled up to the last
 REOPEN_LAST = 10.0
@@ -81,7 +81,9 @@ class LineWorker:
         opener: Opener,
         controls: Mapping[str, DriveControl] | None = None,
         count_stored: Callable[[str, int], None] | None = None,
+        tap: Tap | None = None,
     ) -> None:
+        self._tap = tap
         self._count_stored = count_stored
         self._is_rung = False  # since the next poll was chosen
         self._opened_at = clock.now()
@@ -159,7 +161,9 @@ class LineWorker:
                 station.image.set_link(station.link.state, "not heard yet")
                 self._schedule.probe(station.drive.name, station.reader.identify(), now)
             echo = LocalEcho(self._line.local_echo, self._line.name)
-            exchanger = Exchanger(port, self._line.timing, self._line.margin, self._clock, self._stats, echo)
+            exchanger = Exchanger(
+                port, self._line.timing, self._line.margin, self._clock, self._stats, echo, self._tap
+            )
             while True:
                 await self._step(exchanger)
         finally:
@@ -188,9 +192,8 @@ class LineWorker:
         """Send a broadcast; whatever comes of it, every drive is read back by itself."""
         try:
             await exchanger.exchange(broadcast.codec, broadcast.request, self._slowest)
-        except (NoReply, BadReply, Refused) as error:
+        except (NoReply, BadReply, Refused):
             self._stats.errors["bad_reply"] += 1
-            frames.debug("rx after a broadcast: %s", error)
 
     async def _poll(self, exchanger: Exchanger, now: float) -> None:
         """Do what the schedule says: a poll, a probe, or waiting; instead of waiting, what is due for an F803."""
@@ -363,7 +366,6 @@ class LineWorker:
         self, station: _Station, job: Job[Work], sent: Request, refused: Refused, started: float
     ) -> None:
         """Take a refusal; one for a wrong checksum says that the request was damaged on its way."""
-        frames.debug("rx %s refused: %s", job.drive, refused)
         if refused.reason is Refusal.CHECKSUM:
             self._unanswered(station, job, BadReply(str(refused)), started)
             return
@@ -536,7 +538,6 @@ class LineWorker:
             station.stats.timeouts += 1
         else:
             station.stats.bad_replies += 1
-        frames.debug("rx %s: %s", station.drive.name, error)
 
     def _unanswered(self, station: _Station, job: Job[Work], error: NoReply | BadReply, started: float) -> None:
         """Count silence or garbage, and decide how the drive is tried next.

@@ -9,14 +9,14 @@ from gateway.errors import GatewayError
 from gateway.sim.frames import STARTS, protocol_of
 from gateway.sim.journal import Entry, Way
 from gateway.sim.options import MODBUS_RTU, TOSHIBA
+from gateway.trace import packets
 
 MAGIC, VERSION = 0xA1B2C3D4, (2, 4)  # pcap, times in microseconds
 LONGEST = 65_535  # bytes of a packet
 LONGEST_FRAME = 4096  # bytes of a frame that are kept: more is no frame of these drives
 LINKTYPE_IPV4 = 228
-MASTER, LINE = bytes((192, 0, 2, 1)), bytes((192, 0, 2, 2))  # RFC 5737: for documentation
-MASTER_PORT = 40_000
-PORTS = {MODBUS_RTU: 502, TOSHIBA: 829}  # of the line; 829: F829 chooses the protocol
+MASTER, LINE = packets.address(packets.MASTER), packets.address(packets.MASTER + 1)  # as the gateway's captures
+PORTS = {MODBUS_RTU: packets.MODBUS_PORT, TOSHIBA: packets.TOSHIBA_PORT}  # of the line
 UDP, TIME_TO_LIVE, VERSION_AND_LENGTH = 17, 64, 0x45
 
 
@@ -36,9 +36,9 @@ def record(entry: Entry, opened: float, spoken: int) -> bytes:
     """Return the record of a frame of that protocol, at the time of its end, in seconds since the line was opened."""
     data, line_port = entry.data[:LONGEST_FRAME], PORTS[spoken]
     if entry.way is Way.REQUEST:
-        packet = _packet(MASTER, MASTER_PORT, LINE, line_port, data)
+        packet = _packet(MASTER, packets.MASTER_PORT, LINE, line_port, data)
     else:
-        packet = _packet(LINE, line_port, MASTER, MASTER_PORT, data)
+        packet = _packet(LINE, line_port, MASTER, packets.MASTER_PORT, data)
     whole, microseconds = divmod(round((entry.end - opened) * 1e6), 1_000_000)
     return struct.pack("<IIII", whole, microseconds, len(packet), len(packet)) + packet
 

@@ -28,8 +28,8 @@ class TwinLine:
         self._quiet_since = clock.now()
         self._is_down = False
 
-    async def quiet(self) -> None:
-        """Wait for the gap."""
+    async def quiet(self) -> float:
+        """Wait for the gap; return since when the line is quiet."""
         self._collect()
         patience = self._clock.now() + NEVER_QUIET
         while (when := self._quiet_since + self._timing.gap) > self._clock.now():
@@ -37,6 +37,7 @@ class TwinLine:
                 raise BadReply("the simulated line is never quiet")
             await self._alarm.wait_until(when)  # what arrives meanwhile moves the end of the gap
             self._collect()
+        return self._quiet_since
 
     async def write(self, frame: bytes, not_after: float = math.inf) -> float:
         """Wait for the gap, discard what has arrived, send; return when the first bit left (monotonic)."""

@@ -253,8 +253,9 @@ class ScriptedLine:
         self._alarm = self._clock.alarm()
         self._next = float("inf")
 
-    async def quiet(self) -> None:
+    async def quiet(self) -> float:
         """Be quiet at once."""
+        return self._clock.now()
 
     async def write(self, frame: bytes, _not_after: float = math.inf) -> float:
         """Wait for the gap, then send."""
