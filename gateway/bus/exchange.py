@@ -173,11 +173,10 @@ class Exchanger:
         while True:
             data = await self._line.read(deadline)
             now = self._clock.now()
-            if data:
-                self._heard.take(now, data)
+            heard = listening.take(data)
+            self._note(now, data, len(data) - len(heard), is_echo=listening.is_heard)
             if data and now > deadline + STALE:
                 raise BadReply(f"number {request.number}: an answer that may have lain here for long: read too late")
-            heard = listening.take(data)
             if data and not heard:
                 continue  # the echo
             if data and not is_started:
@@ -199,6 +198,15 @@ class Exchanger:
             if not data:
                 break
         raise self._unanswered(listening, request, decoder.received)
+
+    def _note(self, now: float, data: bytes, kept_back: int, *, is_echo: bool) -> None:
+        """Keep for a tap what has come: the adapter's echo is marked as early, for it is no answer."""
+        if kept_back > 0:
+            self._heard.take(now, data[:kept_back])
+            if is_echo:
+                self._heard.drop()
+        if len(data) > max(kept_back, 0):
+            self._heard.take(now, data[max(kept_back, 0) :])
 
     def _unanswered(self, listening: Listening, request: Request, received: bytes) -> NoReply | BadReply:
         """Say what came instead of an answer, and count what became of the echo."""

@@ -178,7 +178,7 @@ def test_without_a_tap_nothing_else_goes_over_the_wire() -> None:
         line = made.bench.configured.lines[0]
         clock = virtual.VirtualClock()
         port = await made.bench.open(line, clock)
-        exchanger = Exchanger(port, line.timing, line.margin, clock, made.stats, tap)
+        exchanger = Exchanger(port, line.timing, line.margin, clock, made.stats, tap=tap)
         done = []
         for kind in (Kind.LATE, Kind.DROP, Kind.BABBLE, Kind.ECHO, Kind.FLIP) * 3:
             made.bench.wire.faults.add(Fault(kind, count=1))
