@@ -73,6 +73,10 @@ class Drive:
         """Say whether somebody may command it."""
         return self.section is not None and self.section.control != "off"
 
+    def is_commanded_by(self, way: str) -> bool:
+        """Say whether somebody may command it by that way in."""
+        return self.is_controlled and self.section is not None and way in self.section.sources
+
     @property
     def codec(self) -> Codec:
         """Return the codec of the protocol that the drive speaks."""

@@ -147,7 +147,8 @@ class EdgeNode:
             elif are_waiting:
                 await asyncio.sleep(0)
             else:
-                await connection.wait(TEND_EVERY, room=enough if is_owing else 0)
+                limit = min(TEND_EVERY, self.node.held_back(now) or TEND_EVERY)
+                await connection.wait(limit, room=enough if is_owing else 0)
         if connection.lost is None:
             await self._leave(connection)
             raise BrokerAway(f"the primary host {self._section.primary_host} is offline")

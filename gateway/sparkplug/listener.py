@@ -7,7 +7,6 @@ keeps that message, and a heartbeat must come from the controller itself (SAFETY
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
 
 from gateway.clock import Clock
 from gateway.config import SparkplugSection
@@ -48,15 +47,11 @@ class Listener:
         self._source = Source(Channel.SPARKPLUG, section.primary_host or "")
         self._warnings = Allowance(WARNINGS, WARNINGS_AT_ONCE)
         self._node_topic = node.topics.of_node("NCMD")
-        self._targets = self._find_targets(door.controls if self._intake is not None and door is not None else {})
-
-    def _find_targets(self, controls: Mapping[str, object]) -> dict[str, Target]:
-        found = {}
-        for name, device in self._node.devices.items():
-            if name in controls:
-                target = Target(name, device.metrics.writable, device.model)
-                found[self._node.topics.of_device("DCMD", name)] = target
-        return found
+        self._targets = {
+            node.topics.of_device("DCMD", name): Target(name, device.metrics.writable, device.model)
+            for name, device in node.devices.items()
+            if device.metrics.writable and self._intake is not None
+        }
 
     @property
     def command_topics(self) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from gateway import __version__
 from gateway.config import SparkplugSection
-from gateway.control.command import Result
+from gateway.control.command import Channel, Result, Source
 from gateway.control.drive_control import DriveControl
 from gateway.image import DriveImage, Image
 from gateway.metrics import MqttStats
@@ -23,6 +23,7 @@ from gateway.sparkplug.topics import Topics
 
 BD_SEQ, REBIRTH = "bdSeq", "Node Control/Rebirth"  # the two metrics of the node that the specification names
 CONNECTED = "Drives Connected"
+ANY_HOST = Source(Channel.SPARKPLUG)
 BETWEEN_BIRTHS = 1.0  # seconds, so that no flood of requests for a rebirth becomes one of births
 
 
@@ -73,9 +74,10 @@ class Node:
         self.devices: dict[str, Device] = {}
         for each in image.drives:
             control = controls.get(each.drive.name)
-            is_controlled = control is not None
-            may_command = is_controlled and section.commands
-            metrics = drive_metrics.define(definer, each, is_controlled=is_controlled, may_command=may_command)
+            may_command = section.commands and control is not None and control.settings.may_write(ANY_HOST)
+            metrics = drive_metrics.define(
+                definer, each, is_controlled=control is not None, may_command=may_command
+            )
             self.devices[each.drive.name] = Device(each, metrics, section.deadband, control)
         self._debtors: dict[str, Device] = {}
 
@@ -132,11 +134,15 @@ class Node:
 
     # ---- what is said
 
+    def held_back(self, now: float) -> float:
+        """Return for how many seconds an NBIRTH that was asked for too soon has to wait; 0 where none has."""
+        return max(0.0, self._birth_at - now) if self.session.phase is Phase.NODE_BIRTH else 0.0
+
     def is_owing(self, now: float) -> bool:
         """Say whether hosts lack anything that may be sent now."""
         match self.session.phase:
             case Phase.NODE_BIRTH:
-                return now >= self._birth_at
+                return not self.held_back(now)
             case Phase.DEVICE_BIRTHS:
                 return True
             case Phase.LIVE:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from gateway.config import SparkplugSection
+from gateway.site import Site
+
 NAMESPACE = "spBv1.0"
 
 
@@ -21,6 +24,18 @@ class Topics:
     def of_device(self, kind: str, device: str) -> str:
         """Return the topic of DBIRTH, DDATA, DDEATH or DCMD of a drive."""
         return f"{NAMESPACE}/{self.group}/{kind}/{self.node}/{device}"
+
+
+def overview(section: SparkplugSection, site: Site) -> list[str]:
+    """List every topic that a site publishes under and listens to, for the integrator."""
+    topics = Topics(section.group_id, section.edge_node_id or site.config.gateway.name)
+    listed = [topics.of_node(kind) for kind in ("NBIRTH", "NDATA", "NDEATH", "NCMD")]
+    listed += [state(section.primary_host)] if section.primary_host is not None else []
+    for drive in site.drives:
+        kinds = ["DBIRTH", "DDATA", "DDEATH"]
+        kinds += ["DCMD"] if section.commands and drive.is_commanded_by("sparkplug") else []
+        listed += [topics.of_device(kind, drive.name) for kind in kinds]
+    return listed
 
 
 def state(host: str) -> str:

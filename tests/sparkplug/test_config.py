@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from gateway import site
 from gateway.errors import BadConfig
+from gateway.sparkplug import topics
 from gateway.sparkplug.node import Node
 from tests.mqtt import drives
 from tests.sparkplug.rig import Plant, section
@@ -47,6 +48,22 @@ def test_drives_are_devices_with_names_of_their_own() -> None:
         wrong["line"][0]["drive"][0]["name"] = name
         with pytest.raises(BadConfig):
             site.build(wrong, "test", Path())
+
+
+def test_the_topics_of_a_site_are_listed() -> None:
+    """What it publishes under, and what it listens to."""
+    configured = table(primary_host="scada", commands=True)
+    configured["line"][0]["drive"][1] |= {"control": "direct", "unwatched": True}
+    built = site.build(configured, "test", Path())
+    assert built.config.sparkplug is not None
+    listed = topics.overview(built.config.sparkplug, built)
+    assert listed == [
+        "spBv1.0/g/NBIRTH/hall-3", "spBv1.0/g/NDATA/hall-3", "spBv1.0/g/NDEATH/hall-3", "spBv1.0/g/NCMD/hall-3",
+        "spBv1.0/STATE/scada",
+        "spBv1.0/g/DBIRTH/hall-3/p", "spBv1.0/g/DDATA/hall-3/p", "spBv1.0/g/DDEATH/hall-3/p",
+        "spBv1.0/g/DBIRTH/hall-3/q", "spBv1.0/g/DDATA/hall-3/q", "spBv1.0/g/DDEATH/hall-3/q",
+        "spBv1.0/g/DCMD/hall-3/q",
+    ]  # fmt: skip
 
 
 def test_a_deadband_for_a_value_that_no_drive_has_is_refused() -> None:

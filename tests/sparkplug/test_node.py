@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 
+from gateway import site
 from gateway.control.command import Channel, Command, Result, Source, Status, Verb
+from gateway.control.door import Door
 from gateway.image import Image, LinkState
 from gateway.sparkplug import payload as payloads
+from gateway.sparkplug.listener import Listener
 from gateway.sparkplug.payload import DataType, Property, QualityCode
 from gateway.sparkplug.session import Happening
 from tests.mqtt import drives
@@ -360,6 +364,18 @@ def test_without_commands_nothing_can_be_written() -> None:
         assert device.metrics.writable == {}
         assert device.metrics.inputs == {}
     assert plant.node.line_inputs == {}
+
+
+def test_a_drive_that_sparkplug_may_not_command_shows_nothing_to_write() -> None:
+    """`sources` of the drive leave it out: its metrics are read only, and nobody listens to commands for it."""
+    drive = {"name": "p", "number": 1, "model": "vf-nc3", "control": "direct", "unwatched": True, "sources": ["mqtt"]}
+    line = {"name": "a", "port": "/dev/null", "drive": [drive]}
+    built = site.build({"gateway": {"name": "hall-3"}, "line": [line]}, "test", Path())
+    door = Door.of(built, StandingClock())
+    plant = Plant(Image(built.drives), door, commands=True)
+    assert plant.node.devices["p"].metrics.writable == {}
+    listener = Listener(plant.section, plant.node, plant.stats, StandingClock(), door)
+    assert listener.command_topics == ["spBv1.0/Plant 1/NCMD/hall-3"]
 
 
 def test_results_and_events_are_told_each_by_each_in_order() -> None:
