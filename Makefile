@@ -10,6 +10,7 @@ SOAK = 10
 LOCK_ARGS =
 BENCH_ARGS =
 PROVE_ARGS =
+FOREIGN = tools/foreign
 UV = uv>=0.9,<1
 PIP = tools/quietly $(BIN)/python -m pip --disable-pip-version-check --no-input
 FROM_LOCK = install --require-hashes --no-deps
@@ -32,13 +33,13 @@ check: $(VENV)/.dev $(VENV)/.package ## lint, types, import contract, generated 
 	$(BIN)/python -m tools.licences --check
 	$(BIN)/python -m tools.hazards --check
 
-test: $(VENV)/.dev $(VENV)/.package programs ## all tests, with branch coverage (TEST_ARGS="-k web")
+test: $(VENV)/.dev $(VENV)/.package programs $(VENV)/.foreign ## all tests, with branch coverage (TEST_ARGS="-k web")
 	@PATH="$$PATH:/usr/sbin" $(BIN)/python -m tools.suite $(TEST_ARGS)
 
 test-quick: $(VENV)/.dev $(VENV)/.package ## the tests that need no other programs
 	@$(BIN)/pytest -q -n auto -m "not e2e" $(TEST_ARGS)
 
-soak: $(VENV)/.dev $(VENV)/.package programs ## the tests with ten times as many inputs (SOAK=100: a hundred times)
+soak: $(VENV)/.dev $(VENV)/.package programs $(VENV)/.foreign ## the tests with ten times as many inputs (SOAK=100: a hundred times)
 	@PATH="$$PATH:/usr/sbin" TOSVERT_SOAK=$(SOAK) $(BIN)/python -m tools.suite $(TEST_ARGS)
 
 prove: $(VENV)/.dev $(VENV)/.package programs ## prove that the tests of each hazard fail without its rule (PROVE_ARGS="H05")
@@ -59,10 +60,13 @@ lock: $(VENV)/.dev ## bring the lock files up to pyproject.toml (LOCK_ARGS=--upg
 	$(LOCK) $(LOCK_ARGS) --group build -o requirements-build.lock
 	$(LOCK) $(LOCK_ARGS) --extra demo --group dev --group bench --group build \
 		-c requirements.lock -c requirements-build.lock -o requirements-dev.lock pyproject.toml
+	$(LOCK) $(LOCK_ARGS) -o $(FOREIGN)/requirements.lock $(FOREIGN)/requirements.in
+	cd $(FOREIGN) && npm install --package-lock-only --ignore-scripts --omit-lockfile-registry-resolved
 	$(BIN)/python -m tools.locks
 
 programs: # what the tests start beside Python
-	@tools/need-packages "make test" mosquitto:mosquitto mosquitto_sub:mosquitto-clients mbpoll:mbpoll tshark:tshark
+	@tools/need-packages "make test" mosquitto:mosquitto mosquitto_sub:mosquitto-clients mbpoll:mbpoll tshark:tshark \
+		node:nodejs npm:npm
 
 clean: ## remove what make has made
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
@@ -83,6 +87,15 @@ $(VENV)/.demo: $(VENV)/.made
 $(VENV)/.dev: $(VENV)/.made
 	@echo "installing what checks and tests need"
 	@$(PIP) $(FROM_LOCK) -r requirements-dev.lock
+	@touch $@
+
+# By these the tests judge what the gateway sends as Sparkplug; apart, for they want another paho-mqtt.
+$(VENV)/.foreign: $(VENV)/.made $(FOREIGN)/requirements.lock $(FOREIGN)/package-lock.json
+	@echo "installing decoders of others for the tests"
+	@rm -rf $(VENV)/foreign && mkdir -p $(VENV)/foreign/node
+	@$(PIP) $(FROM_LOCK) --no-build-isolation --target $(VENV)/foreign/python -r $(FOREIGN)/requirements.lock
+	@cp $(FOREIGN)/package.json $(FOREIGN)/package-lock.json $(VENV)/foreign/node
+	@cd $(VENV)/foreign/node && ../../../tools/quietly npm ci --ignore-scripts --no-audit --no-fund
 	@touch $@
 
 $(VENV)/.package: $(VENV)/.made pyproject.toml

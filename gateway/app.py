@@ -22,6 +22,7 @@ from gateway.metrics import DriveStats, LineStats, Stats
 from gateway.modbus_tcp.server import ModbusTcpServer
 from gateway.mqtt.bridge import Bridge
 from gateway.site import Site
+from gateway.sparkplug.edge import EdgeNode
 from gateway.store.store import Store
 from gateway.trace.tracing import Tracing
 from gateway.web.server import WebServer
@@ -94,6 +95,13 @@ class App:
         self.bridge = (
             Bridge(config.mqtt, config.gateway.name, self.image, self.stats.mqtt, self.clock, door=self.door)
             if config.mqtt
+            else None
+        )
+        self.edge_node = (
+            EdgeNode(
+                config.sparkplug, config.gateway.name, self.image, self.stats.sparkplug, self.clock, door=self.door
+            )
+            if config.sparkplug
             else None
         )
         self.modbus_tcp = (
@@ -185,6 +193,8 @@ class App:
             others.append(_start("mqtt", self.bridge.run()))
         if self._tracing is not None:
             others.append(_start("trace", self._tracing.run()))
+        if self.edge_node is not None:
+            others.append(_start("sparkplug", self.edge_node.run()))
         stop = asyncio.create_task(self._stop.wait())
         gc.collect()
         gc.freeze()  # what lives for ever is not searched again while a line waits

@@ -21,6 +21,7 @@ from gateway.errors import BadConfig, GatewayError, Refused
 from gateway.modbus_tcp import mapping
 from gateway.mqtt import topics
 from gateway.sim import runner, settings
+from gateway.sparkplug import topics as sparkplug_topics
 from gateway.store import commands as store
 from gateway.trace import commands as trace
 from gateway.trace.tracing import Tracing
@@ -128,6 +129,10 @@ def check_file(file: ConfigFile) -> None:
     if section is not None:
         typer.echo("\nMQTT topics")
         for topic in topics.overview(section, configured):
+            typer.echo(f"  {topic}")
+    if configured.config.sparkplug is not None:
+        typer.echo("\nSparkplug topics")
+        for topic in sparkplug_topics.overview(configured.config.sparkplug, configured):
             typer.echo(f"  {topic}")
     if configured.config.modbus_tcp is not None:
         typer.echo(f"\nMODBUS-TCP on {configured.config.modbus_tcp.listen}")

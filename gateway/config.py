@@ -8,7 +8,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 from urllib.parse import urlsplit
 
 from pydantic import (
@@ -61,7 +61,9 @@ TopicLevel = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.
 TopicPath = Annotated[
     str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*(/[A-Za-z0-9][A-Za-z0-9_.-]*)*$")
 ]
+SparkplugId = Annotated[str, StringConstraints(pattern=r"^[^+/#\x00-\x1f\x7f]{1,128}$")]
 Deadband = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+CommandSource = Literal["mqtt", "modbus-tcp", "sparkplug"]
 CommandName = Annotated[str, StringConstraints(pattern=r"^(\*|[a-z][a-z_]*)$")]
 ValueName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$")]
 
@@ -135,38 +137,62 @@ def _broker_url(value: str) -> str:
         raise ValueError("user and password do not belong into the URL: use the keys user and password")
     return value
 
-class MqttSection(Section):
-    """The MQTT side: one broker."""
+class BrokerSection(Section):
+    """A connection to a broker; `table` is the key of the section, by which errors name what to change."""
+
+    table: ClassVar[str] = "mqtt"
 
     url: Annotated[str, AfterValidator(_broker_url)] = Field(description="mqtt:// or mqtts:// host and port")
-    base: TopicPath = Field("tosvert", description="first level or levels of every topic")
-    client_id: str | None = Field(None, min_length=1, description='"<base>-<gateway>" by default')
+    client_id: str | None = Field(None, min_length=1, description="made of the names by default")
     version: Literal["5", "3.1.1"] = "5"
     user: str | Secret | None = None
     password: Secret | None = None
     tls: TlsSection = TlsSection()
     keep_alive: Duration = Field(seconds("30s"), ge=1, le=3600)
-    publish: list[Literal["values", "state"]] = Field(
-        ["values", "state"], min_length=1, description="a topic per value, one JSON state per drive, or both"
-    )
-    retain: bool = True
-    qos: Literal[0, 1, 2] = 0
     queue: int = Field(10_000, ge=100, le=1_000_000, description="messages that may wait for the broker")
-    longest_silence: Duration = Field(seconds("60s"), ge=0, description="0s: publish every reading")
-    deadband: dict[ValueName, Deadband] = Field({}, description="value name: smallest change that is published")
     reconnect_after: Duration = Field(seconds("1s"), gt=0)
     reconnect_at_most: Duration = Field(seconds("30s"), gt=0)
     command_max_age: Duration = Field(
-        seconds("2s"), gt=0, le=60, description="a command whose `issued` is older is refused"
+        seconds("2s"), gt=0, le=60, description="a command that says it is older is refused"
     )
 
     @model_validator(mode="after")
-    def _sound(self) -> MqttSection:
+    def _sound(self) -> BrokerSection:
         if self.password is not None and self.user is None:
             raise ValueError("password without user: give both")
         if self.tls != TlsSection() and not self.url.startswith("mqtts:"):
             raise ValueError("tls is given but the url is not mqtts://")
         return self
+
+class MqttSection(BrokerSection):
+    """The MQTT side: one broker."""
+
+    base: TopicPath = Field("tosvert", description="first level or levels of every topic")
+    publish: list[Literal["values", "state"]] = Field(
+        ["values", "state"], min_length=1, description="a topic per value, one JSON state per drive, or both"
+    )
+    retain: bool = True
+    qos: Literal[0, 1, 2] = 0
+    longest_silence: Duration = Field(seconds("60s"), ge=0, description="0s: publish every reading")
+    deadband: dict[ValueName, Deadband] = Field({}, description="value name: smallest change that is published")
+
+class SparkplugSection(BrokerSection):
+    """Sparkplug B: the gateway as an edge node, on a connection of its own."""
+
+    table: ClassVar[str] = "sparkplug"
+
+    group_id: SparkplugId = Field(description="the group that the edge node belongs to")
+    edge_node_id: SparkplugId | None = Field(None, description="the gateway's name by default")
+    primary_host: SparkplugId | None = Field(
+        None, description="host id of the application whose STATE is waited for; its loss ends the lease it holds"
+    )
+    commands: bool = Field(False, description="drives may be commanded by DCMD and lines by NCMD")
+    deadband: dict[ValueName, Deadband] = Field({}, description="value name: smallest change that is published")
+
+    @property
+    def qos(self) -> Literal[0]:
+        """Return the quality of service of births and data: 0, as Sparkplug has it."""
+        return 0
 
 class ModbusTcpSection(Section):
     """The MODBUS-TCP server."""
@@ -248,7 +274,7 @@ class StoredWritesSection(Section):
 class RightSection(Section):
     """What one source may write; without any right a source of `sources` may write all that `control` permits."""
 
-    source: Literal["mqtt", "modbus-tcp"]
+    source: CommandSource
     name: str = Field("*", description="of the controller, or its address; * and ? stand for any")
     commands: list[CommandName] = Field(["*"], description="commands by name, or *")
     registers: list[str] = Field(["*"], description="registers by name; * and ? stand for any")
@@ -270,8 +296,8 @@ class DriveSection(Section):
     control: Literal["off", "direct", "leased"] = Field(
         "off", description="off: read only; leased: by whoever keeps a lease alive; direct: without one"
     )
-    sources: list[Literal["mqtt", "modbus-tcp"]] = Field(
-        ["mqtt", "modbus-tcp"], min_length=1, description="who may command"
+    sources: list[CommandSource] = Field(
+        ["mqtt", "modbus-tcp", "sparkplug"], min_length=1, description="who may command"
     )
     right: list[RightSection] = Field([], description="finer rights of the sources")
     lease: Duration = Field(seconds("2s"), ge=0.1, le=60, description="how long a silent controller keeps the lease")
@@ -368,6 +394,7 @@ class Config(Section):
 
     gateway: GatewaySection
     mqtt: MqttSection | None = None
+    sparkplug: SparkplugSection | None = None
     modbus_tcp: ModbusTcpSection | None = None
     web: WebSection | None = None
     store: StoreSection = StoreSection()

@@ -163,4 +163,5 @@ class Stats:
     lines: dict[str, LineStats] = field(default_factory=dict)
     drives: dict[str, DriveStats] = field(default_factory=dict)
     mqtt: MqttStats = field(default_factory=MqttStats)
+    sparkplug: MqttStats = field(default_factory=MqttStats)
     tcp: TcpStats = field(default_factory=TcpStats)

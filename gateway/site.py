@@ -75,6 +75,10 @@ class Drive:
         """Say whether somebody may command it."""
         return self.section is not None and self.section.control != "off"
 
+    def is_commanded_by(self, way: str) -> bool:
+        """Say whether somebody may command it by that way in."""
+        return self.is_controlled and self.section is not None and way in self.section.sources
+
     @property
     def codec(self) -> Codec:
         """Return the codec of the protocol that the drive speaks."""
@@ -250,16 +254,17 @@ def _wrong_control(label: str, drive: DriveSection, model: Model) -> Iterator[st
 
 
 def _unknown_deadbands(table: Mapping[str, Any], models: Catalogue) -> Iterator[str]:
-    """Find names under mqtt.deadband that no configured drive has."""
-    section = table.get("mqtt")
-    bands = section.get("deadband") if isinstance(section, dict) else None
+    """Find names under mqtt.deadband and sparkplug.deadband that no configured drive has."""
     used = [models[d.model] for _, _, d in configuration.valid_parts(table) if d.model in models]
     names = {name for model in used for name in [*model.registers, *(d.name for d in model.derived)]}
-    for name in bands if isinstance(bands, dict) and used else ():
-        if name not in names:
-            near = difflib.get_close_matches(name, names, 1)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            yield f"mqtt.deadband: no configured drive has a value {name!r}{hint}"
+    for key in ("mqtt", "sparkplug"):
+        section = table.get(key)
+        bands = section.get("deadband") if isinstance(section, dict) else None
+        for name in bands if isinstance(bands, dict) and used else ():
+            if name not in names:
+                near = difflib.get_close_matches(name, names, 1)
+                hint = f"; did you mean {near[0]!r}?" if near else ""
+                yield f"{key}.deadband: no configured drive has a value {name!r}{hint}"
 
 
 def _only_once(

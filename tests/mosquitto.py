@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import Self
 
 LIMIT = 20.0  # seconds after which a wait in a test is given up
 TRIES = 5  # another program may take the free port first
@@ -142,6 +143,7 @@ class Subscriber:
     """mosquitto_sub on a topic filter, subscribed from `async with` on; every message is kept."""
 
     MARK = "=> "
+    SHOWN = "%p"  # how a payload is printed
 
     def __init__(self, port: int, topic: str = "#", options: Iterable[str] = ()) -> None:
         self.messages: list[Message] = []
@@ -151,14 +153,14 @@ class Subscriber:
         self._changed = asyncio.Condition()
         self._is_subscribed = False
 
-    async def __aenter__(self) -> Subscriber:
+    async def __aenter__(self) -> Self:
         self._process = await asyncio.create_subprocess_exec(
             "stdbuf",  # mosquitto_sub flushes after messages, but not after saying that it is subscribed
             "-oL",
             program("mosquitto_sub"),
             *self._arguments,
             "-F",
-            f"{self.MARK}%r %q %t %p",
+            f"{self.MARK}%r %q %t {self.SHOWN}",
             stdout=asyncio.subprocess.PIPE,
             limit=1 << 20,
         )

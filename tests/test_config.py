@@ -72,8 +72,8 @@ def test_the_example_of_everything_names_every_key() -> None:
     """A key that is added is added there too."""
     shown = (Path(__file__).parent.parent / "config" / "everything.toml").read_text()
     for section in (
-        config.GatewaySection, config.LogSection, config.MqttSection, config.TlsSection, config.ModbusTcpSection,
-        config.WebSection, config.LineSection, config.DriveSection, config.PollSection,
+        config.GatewaySection, config.LogSection, config.MqttSection, config.SparkplugSection, config.TlsSection,
+        config.ModbusTcpSection, config.WebSection, config.LineSection, config.DriveSection, config.PollSection,
         config.StoreSection, config.StoredWritesSection, config.FrequencySection, config.RightSection,
         config.TraceSection,
     ):

@@ -66,13 +66,18 @@ installed from the package index; nothing of them is copied into this project. V
 PROGRAMS = """
 ## Programs that the tests start
 
-Installed from Debian by `make test`, never distributed with the project.
+Installed by `make test`, from Debian but for those of `tools/foreign`; never distributed with the project.
 
 | program | licence | for |
 |---|---|---|
 | mosquitto, mosquitto-clients | EPL-2.0 OR BSD-3-Clause | a real broker and real clients |
 | mbpoll | GPL-3.0-or-later | a real MODBUS master |
 | tshark | GPL-2.0-or-later | a foreign dissector of MODBUS-RTU |
+| nodejs, npm | MIT, Artistic-2.0 | running a foreign decoder |
+| pysparkplug | Apache-2.0 | a foreign decoder of Sparkplug, apart (`tools/foreign`) |
+| protobuf, paho-mqtt 1.6 | BSD-3-Clause, EPL-2.0 OR BSD-3-Clause | needed by pysparkplug |
+| sparkplug-payload | EPL-2.0 | another one (`tools/foreign`) |
+| protobufjs, long | BSD-3-Clause, Apache-2.0 | needed by sparkplug-payload |
 """
 
 HEAD = """

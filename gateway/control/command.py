@@ -13,6 +13,7 @@ class Channel(StrEnum):
 
     MQTT = "mqtt"
     MODBUS_TCP = "modbus-tcp"
+    SPARKPLUG = "sparkplug"
     GATEWAY = "gateway"
 
 

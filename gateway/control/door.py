@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from gateway.clock import Clock
 from gateway.control.budget import Budget
-from gateway.control.command import Answer, Command, Reason, Result, Source, Status, Verb
+from gateway.control.command import Answer, Channel, Command, Reason, Result, Source, Status, Verb
 from gateway.control.composing import COMMAND
 from gateway.control.drive_control import DriveControl
 from gateway.control.ledger import Entry, Ledger, MemoryLedger
@@ -178,6 +178,13 @@ class Door:
         now = self.clock.now()
         control.tick(now)
         control.beat(source, beat, self.since(now))
+
+    def end_leases(self, channel: Channel, reason: str) -> None:
+        """End at once every lease that was taken by a channel, since its controller is known to be gone."""
+        now = self.clock.now()
+        for drive, control in self.controls.items():
+            control.end_lease(channel, reason, now)
+            self._ring(drive)
 
     def pulse(self) -> None:
         """Take note that the event loop is alive, and see to what has run out even where a line is down."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from gateway.control import watchdog
 from gateway.control.admission import NotAdmitted, Plan
-from gateway.control.command import GATEWAY, Answer, Command, Reason, Result, Source, Status, Verb
+from gateway.control.command import GATEWAY, Answer, Channel, Command, Reason, Result, Source, Status, Verb
 from gateway.control.composing import FREQUENCY
 from gateway.control.execution import Execution
 from gateway.control.lease import Lease
@@ -123,6 +123,13 @@ class DriveControl:
     def beat(self, source: Source, beat: object, now: float) -> bool:
         """Take a heartbeat; say whether it renewed the lease."""
         return self.settings.may_write(source) and self.lease.beat(source, beat, now)
+
+    def end_lease(self, channel: Channel, reason: str, now: float) -> None:
+        """End the lease of an owner who is known to be gone, whatever its heartbeats said (SAFETY.md H05)."""
+        self.tick(now)
+        owner = self.lease.owner
+        if owner is not None and owner.channel is channel:
+            self.loss.begin(reason, now)
 
     def _admit(self, command: Command, answer: Answer, now: float) -> None:
         state = self.state

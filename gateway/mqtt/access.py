@@ -6,7 +6,7 @@ import ssl
 from dataclasses import dataclass, field
 from urllib.parse import urlsplit
 
-from gateway.config import MqttSection, Secret, TlsSection
+from gateway.config import BrokerSection, Secret, TlsSection
 from gateway.errors import BadConfig
 
 DEFAULT_PORTS = {"mqtt": 1883, "mqtts": 8883}
@@ -24,7 +24,7 @@ class Access:
     tls: ssl.SSLContext | None
 
 
-def read(section: MqttSection) -> Access:
+def read(section: BrokerSection) -> Access:
     """Read secrets and certificates as they stand now; BadConfig says which file or variable is wrong."""
     url = urlsplit(section.url)
     user = section.user.reveal() if isinstance(section.user, Secret) else section.user
@@ -33,21 +33,21 @@ def read(section: MqttSection) -> Access:
         port=url.port or DEFAULT_PORTS[url.scheme],
         user=user,
         password=None if section.password is None else section.password.reveal(),
-        tls=_context(section.tls) if url.scheme == "mqtts" else None,
+        tls=_context(section.tls, section.table) if url.scheme == "mqtts" else None,
     )
 
 
-def _context(tls: TlsSection) -> ssl.SSLContext:
+def _context(tls: TlsSection, table: str) -> ssl.SSLContext:
     """Make a context that verifies the broker's certificate and its name, always."""
     try:
         context = ssl.create_default_context(cafile=tls.ca)
     except OSError as error:
-        raise BadConfig(f"mqtt.tls.ca: {tls.ca}: {error}") from error
+        raise BadConfig(f"{table}.tls.ca: {tls.ca}: {error}") from error
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     if tls.certificate is not None:
         try:
             context.load_cert_chain(tls.certificate, tls.key, password=NO_PASSPHRASE)
         except OSError as error:
-            reason = f"mqtt.tls: certificate {tls.certificate} with key {tls.key}: {error}"
+            reason = f"{table}.tls: certificate {tls.certificate} with key {tls.key}: {error}"
             raise BadConfig(f"{reason}; a PEM certificate and its key without a passphrase are wanted") from error
     return context

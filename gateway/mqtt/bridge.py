@@ -45,7 +45,7 @@ class Bridge:
     ) -> None:
         access.read(section)  # what is missing or wrong now is better known before anything starts
         self._section = section
-        self._gateway = gateway
+        self._introduced = client.introduction(section, gateway)
         self._stats = stats
         self._clock = clock
         self._backoff = Backoff(section.reconnect_after, section.reconnect_at_most, chance or random.SystemRandom())
@@ -79,7 +79,7 @@ class Bridge:
 
     async def _connect_once(self) -> None:
         """Serve one connection to its end, which BrokerAway tells."""
-        made = await client.connect(self._section, self._gateway, self._in_flight)
+        made = await client.connect(self._section, self._introduced, self._in_flight)
         connection = None
         try:
             connection = Connection(made, self._section, self._stats)

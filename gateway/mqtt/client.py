@@ -7,15 +7,17 @@ import socket
 import threading
 import traceback
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import Any, cast
 
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from gateway.config import MqttSection
+from gateway.config import BrokerSection, MqttSection
 from gateway.errors import BadConfig
 from gateway.mqtt import access, payload, reasons, topics
 from gateway.mqtt.connection import BrokerAway, LastError, Made, close
@@ -24,20 +26,42 @@ CONNECT_LIMIT = 5.0  # seconds, for TCP and for the TLS handshake each
 LARGEST_PACKET = 64 * 1024  # bytes that the broker may send us in one packet
 RECEIVE_MAXIMUM = 20  # messages of QoS 1 and 2 that may be under way to us
 IN_FLIGHT = 20  # messages of QoS 1 and 2 under way to the broker; Mosquitto takes no more as installed
+LEFT_WITH_WILL = ReasonCode(PacketTypes.DISCONNECT, "Disconnect with will message")
 SEND_BUFFER = 256 * 1024  # bytes; what the kernel holds for a broker that does not read, no queue can bound
 RECEIVE_BUFFER = 64 * 1024  # bytes; of a flood no more is to be ahead of a stop, and no packet to grow unseen
 
 
-async def connect(section: MqttSection, gateway: str, in_flight: int) -> Made:
+@dataclass(frozen=True, slots=True)
+class Introduction:
+    """As what a client connects, and the will that the broker publishes when it is lost.
+
+    `wills_at_leave`: the broker publishes the will even after a DISCONNECT in order (MQTT 5).
+    """
+
+    client_id: str
+    topic: str
+    will: str | bytes
+    qos: int
+    retain: bool
+    wills_at_leave: bool = False
+
+
+def introduction(section: MqttSection, gateway: str) -> Introduction:
+    """Return as what the bridge connects: its will says that the gateway is offline."""
+    client_id = section.client_id or f"{section.base.replace('/', '-')}-{gateway}"
+    return Introduction(client_id, topics.status(section.base, gateway), payload.OFFLINE, section.qos, retain=True)
+
+
+async def connect(section: BrokerSection, introduced: Introduction, in_flight: int) -> Made:
     """Connect in a thread, since paho blocks meanwhile; BrokerAway says why not."""
-    return await _in_thread(lambda: _connect(section, gateway, in_flight))
+    return await _in_thread(lambda: _connect(section, introduced, in_flight))
 
 
-def _connect(section: MqttSection, gateway: str, in_flight: int) -> Made:
+def _connect(section: BrokerSection, introduced: Introduction, in_flight: int) -> Made:
     """Connect TCP and TLS and send CONNECT."""
     try:
         reach = access.read(section)  # anew for each connection: secrets and certificates may have been renewed
-        client, errors = _make_client(section, gateway, reach)
+        client, errors = _make_client(section, introduced, reach)
         client.max_inflight_messages = in_flight
         options: dict[str, Any] = {}
         if section.version == "5":
@@ -46,23 +70,24 @@ def _connect(section: MqttSection, gateway: str, in_flight: int) -> Made:
         _set_up(client.socket())
     except (OSError, ValueError, BadConfig) as error:
         traceback.clear_frames(error.__traceback__)  # lets go of a socket whose handshake failed; paho does not
-        raise BrokerAway(reasons.of_error(str(error))) from error
+        raise BrokerAway(reasons.of_error(str(error), section.table)) from error
     if section.version == "5":
-        return Made(client, errors, _Expiry, _correlated)
+        reason = LEFT_WITH_WILL if introduced.wills_at_leave else None
+        return Made(client, errors, _Expiry, _correlated, reason)
     return Made(client, errors, _nothing, _nothing)
 
 
-def _make_client(section: MqttSection, gateway: str, reach: access.Access) -> tuple[Client, LastError]:
+def _make_client(section: BrokerSection, introduced: Introduction, reach: access.Access) -> tuple[Client, LastError]:
     is_5 = section.version == "5"
     client = Client(
         CallbackAPIVersion.VERSION2,
-        client_id=section.client_id or f"{section.base.replace('/', '-')}-{gateway}",
+        client_id=introduced.client_id,
         clean_session=None if is_5 else True,
         protocol=MQTTProtocolVersion.MQTTv5 if is_5 else MQTTProtocolVersion.MQTTv311,
         reconnect_on_failure=False,  # or paho would reconnect on its own, blocking, from within loop_read
     )
     client.connect_timeout = CONNECT_LIMIT
-    client.will_set(topics.status(section.base, gateway), payload.OFFLINE, section.qos, retain=True)
+    client.will_set(introduced.topic, introduced.will, introduced.qos, retain=introduced.retain)
     if reach.user is not None:
         client.username_pw_set(reach.user, reach.password)
     if reach.tls is not None:
@@ -78,6 +103,11 @@ def subscriptions(filters: Iterable[str], version: str) -> list[tuple[str, Any]]
     if version == "5":
         options = SubscribeOptions(qos=1, noLocal=True, retainHandling=SubscribeOptions.RETAIN_DO_NOT_SEND)
     return [(topic, options) for topic in filters]
+
+
+def subscription_to_state(topic: str, version: str) -> tuple[str, Any]:
+    """Return a subscription that also wants what the broker has kept: for a state, never for a command."""
+    return topic, SubscribeOptions(qos=1) if version == "5" else 1
 
 
 def _connect_properties() -> Properties:

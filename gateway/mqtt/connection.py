@@ -13,9 +13,8 @@ import ssl
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
-from gateway.config import MqttSection
 from gateway.errors import GatewayError
 from gateway.metrics import MqttStats
 from gateway.mqtt import reasons
@@ -49,6 +48,25 @@ LOSSES = {  # what paho's names for the end of a connection mean
 }
 
 
+class Terms(Protocol):
+    """What a section of the configuration says of a connection: its table, how much may wait, and how it is sent."""
+
+    @property
+    def table(self) -> str:
+        """Return the name of the section."""
+        ...
+
+    @property
+    def queue(self) -> int:
+        """Return how many messages may wait for the broker."""
+        ...
+
+    @property
+    def qos(self) -> int:
+        """Return the quality of service."""
+        ...
+
+
 class BrokerAway(GatewayError):
     """There is no connection: say why once, try again after a pause."""
 
@@ -71,13 +89,14 @@ class Made:
     """A paho client that has sent its CONNECT, and what goes with it.
 
     `expiry` makes the properties of a message that the broker may forget after so many seconds, and `correlation`
-    those of an answer; both make None where the protocol has no such thing.
+    those of an answer; both make None where the protocol has no such thing. `reason` goes with the last DISCONNECT.
     """
 
     client: Any
     errors: LastError
     expiry: Callable[[int], Any]
     correlation: Callable[[bytes], Any]
+    reason: Any = None
 
 
 class Connection:
@@ -87,7 +106,7 @@ class Connection:
     only take notes here. An exception in one of them is raised by the next `wait`.
     """
 
-    def __init__(self, made: Made, section: MqttSection, stats: MqttStats) -> None:
+    def __init__(self, made: Made, section: Terms, stats: MqttStats) -> None:
         self.lost: str | None = None
         self.receive_maximum = NO_RECEIVE_MAXIMUM
         self.capacity = min(section.queue, PACKET_IDS) if section.qos else section.queue
@@ -95,9 +114,11 @@ class Connection:
         self._errors = made.errors
         self._make_expiry = made.expiry
         self._correlate = made.correlation
+        self._last_reason = made.reason
         self._answer: Any = None
         self._stats = stats
         self._qos = section.qos
+        self._table = section.table
         self._expiries: dict[int, Any] = {FOR_EVER: None}
         self._on_their_way: deque[Any] = deque()
         self._told: deque[Any] = deque()  # those of them that tell what became of commands
@@ -105,7 +126,7 @@ class Connection:
         self._is_flushing_soon = False
         self._largest: int | None = None
         self._was_refused = False
-        self._reception = Reception(made.client, stats)
+        self._reception = Reception(made.client, stats, section.table)
         self._news = asyncio.Event()
         self._wanted_room = 0
         self._error: Exception | None = None
@@ -124,7 +145,7 @@ class Connection:
             client.on_publish = self._on_publish
         sock = client.socket()
         if sock is None:
-            raise BrokerAway(reasons.of_silence(self._errors.text))
+            raise BrokerAway(reasons.of_silence(self._errors.text, self._table))
         self._fd = sock.fileno()
         self._loop.add_reader(self._fd, self._readable)
         self.flush()
@@ -139,7 +160,7 @@ class Connection:
 
     def _on_disconnect(self, _client: Any, _data: Any, flags: Any, code: Any, _properties: Any) -> None:
         if flags.is_disconnect_packet_from_server:
-            self.lost = reasons.of_code(code.value, code.getName())
+            self.lost = reasons.of_code(code.value, code.getName(), self._table)
         else:
             self.lost = self._errors.text or LOSSES.get(code.getName(), code.getName())
         self._news.set()
@@ -147,7 +168,7 @@ class Connection:
     def _on_publish(self, _client: Any, _data: Any, _mid: int, code: Any, _properties: Any) -> None:
         if code.is_failure and not self._was_refused:
             self._was_refused = True
-            log.warning("the broker refuses messages: %s", reasons.of_code(code.value, code.getName()))
+            log.warning("the broker refuses messages: %s", reasons.of_code(code.value, code.getName(), self._table))
 
     def _on_socket_close(self, _client: Any, _data: Any, _sock: Any) -> None:
         self._detach()
@@ -269,13 +290,23 @@ class Connection:
         else:
             self._publish(topic, text, retain, self._expiry(expiry))
 
-    def _is_too_large(self, topic: str, text: str) -> bool:
-        if self._largest is None or len(topic) + len(text.encode()) + LARGEST_OVERHEAD <= self._largest:
+    def carry(self, topic: str, payload: bytes) -> bool:
+        """Hand bytes to paho, not to be retained; `flush` writes them. False where they are too large."""
+        if self._is_too_large(topic, payload):
+            return False
+        self._publish(topic, payload, retain=False, properties=None)
+        return True
+
+    def _is_too_large(self, topic: str, text: str | bytes) -> bool:
+        if self._largest is None:
+            return False
+        size = len(text if isinstance(text, bytes) else text.encode())
+        if len(topic) + size + LARGEST_OVERHEAD <= self._largest:
             return False
         log.warning("%s: larger than the %d bytes that the broker takes", topic, self._largest)
         return True
 
-    def _publish(self, topic: str, text: str, retain: bool, properties: Any) -> None:
+    def _publish(self, topic: str, text: str | bytes, retain: bool, properties: Any) -> None:
         self._on_their_way.append(self._client.publish(topic, text, self._qos, retain, properties))
         self._unwritten += 1
         self._stats.published += 1
@@ -331,18 +362,19 @@ class Connection:
         end = self._loop.time() + ANSWER_LIMIT
         while self._answer is None and self.lost is None:
             if self._loop.time() >= end:
-                raise BrokerAway(reasons.of_silence(f"no answer within {ANSWER_LIMIT:.0f} s"))
+                raise BrokerAway(reasons.of_silence(f"no answer within {ANSWER_LIMIT:.0f} s", self._table))
             await self.wait(end - self._loop.time())
         if self._answer is None:
-            raise BrokerAway(reasons.of_silence(self._errors.text))
+            raise BrokerAway(reasons.of_silence(self._errors.text, self._table))
         if self._answer.is_failure:
-            raise BrokerAway(f"refused: {reasons.of_code(self._answer.value, self._answer.getName())}")
+            why = reasons.of_code(self._answer.value, self._answer.getName(), self._table)
+            raise BrokerAway(f"refused: {why}")
 
     async def leave(self) -> None:
         """Wait until all is sent, then disconnect in order."""
         while self._on_their_way and self.lost is None:
             await self.wait(LEAVE_LIMIT, room=self.capacity)
-        self._client.disconnect()
+        self._client.disconnect(self._last_reason)
         while self.lost is None:
             self.flush()
             await self.wait(LEAVE_LIMIT)

@@ -1,34 +1,25 @@
-"""Takes what controllers send to the door, and says what became of it.
+"""Hears what controllers send, and says what became of it.
 
-Messages are read as they come, so that a stop is never behind others: it goes to the door at once, and takes what
-waits for its drive along, which the door then ends. Everything else waits in a bounded inbox (SAFETY.md H24).
+Messages are read as they come, so that a stop is never behind others; `intake` takes them to the door.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
 from functools import partial
 from typing import Protocol
 
 from gateway.clock import Clock
 from gateway.config import MqttSection
-from gateway.control.command import Command, Reason, Result
+from gateway.control.command import Result
 from gateway.control.door import Door
-from gateway.control.results import Results
 from gateway.metrics import MqttStats
 from gateway.mqtt import commands, outcome
-from gateway.mqtt.inbox import Allowance, Inbox, Waiting
-from gateway.mqtt.message import Beat, LineStop, Message, Moment
+from gateway.mqtt.intake import Intake
+from gateway.mqtt.message import Message, Moment
 
 GOOD_FOR = 1.0  # seconds of a command for a drive that nobody may command
-REFUSALS = 50.0  # a second that are answered; more are counted only
-REFUSALS_AT_ONCE = 100.0
 LONGEST_LEVEL = 128  # characters; longer ones name nothing here, and no result could be told by them
 FORGET = 60  # seconds after which the broker may forget a result or an event
-TEXTS = {
-    Reason.SUPERSEDED: "a newer value came before it was sent",
-    Reason.BUSY: "too many commands at once for this drive",
-}
 
 
 class Wire(Protocol):
@@ -53,9 +44,7 @@ class Listener:
         self._stats = stats
         self._clock = clock
         self._wire: Wire | None = None
-        self._inbox = Inbox()
-        self._superseded: defaultdict[str, Results] = defaultdict(Results)
-        self._refusals = Allowance(REFUSALS, REFUSALS_AT_ONCE)
+        self._intake = Intake(door, stats, clock)
         door.on_result(self._on_result)
         door.on_event(self._on_event)
 
@@ -68,7 +57,7 @@ class Listener:
     @property
     def is_waiting(self) -> bool:
         """Say whether a command waits to be handed on."""
-        return len(self._inbox) > 0
+        return self._intake.is_waiting
 
     def begin(self, wire: Wire) -> None:
         """Take the way back for as long as the connection lasts."""
@@ -97,80 +86,18 @@ class Listener:
         moment = Moment(self._since(), self._clock.wall(), good_for, self._max_age)
         read = commands.read(message, levels, moment, None if control is None else control.drive.model)
         answer = partial(self._answer, message)
-        match read:
-            case Beat(drive, source, beat):
-                self._door.beat(drive, source, beat)
-            case LineStop(line, command):
-                self._stop_line(line, Waiting(command, answer))
-            case Command():
-                self._take(Waiting(read, answer))
-            case Result():
-                self._refuse(Waiting(read.command, answer), read)
-            case None:
-                self._stats.ignored += 1
+        if read is None:
+            self._stats.ignored += 1
+        else:
+            self._intake.take(read, answer)
 
     def _since(self) -> float:
         """Return since when a message may have been there: since before the event loop stood still, if it did."""
         return self._door.since(self._clock.now())
 
-    def _take(self, waiting: Waiting) -> None:
-        """Hand a stop on at once, and let anything else wait for its turn."""
-        command = waiting.command
-        if command.drive not in self._door.controls:
-            self._turn_away(waiting)
-        elif command.verb.is_stopping:
-            self._hand_over_all(command.drive)
-            self._door.submit(command, waiting.answer)
-        elif not self._superseded[command.drive].is_known(command, partial(self._refuse, waiting)):
-            displaced = self._inbox.put(waiting)
-            if displaced is not None:
-                self._displace(*displaced)
-
-    def _turn_away(self, waiting: Waiting) -> None:
-        """Let the door say why nobody may command this drive, but not for ever."""
-        if self._refusals.take(self._clock.now()):
-            self._door.submit(waiting.command, waiting.answer)
-        else:
-            self._stats.refused[Reason.UNKNOWN_DRIVE.value] += 1
-            self._stats.untold += 1
-
-    def _displace(self, waiting: Waiting, reason: Reason) -> None:
-        """Refuse what found no room, or a setpoint that is history: if it comes again it is still refused."""
-        self._stats.inbox_dropped += 1
-        result = waiting.refused(reason, TEXTS[reason])
-        if reason is Reason.SUPERSEDED:
-            known = self._superseded[waiting.command.drive]
-            known.remembering(waiting.command, _nobody)(result)
-        self._refuse(waiting, result)
-
-    def _refuse(self, waiting: Waiting, result: Result) -> None:
-        """Say that a command is refused before it came to the door; a flood is told of in part only."""
-        self._stats.refused[result.reason.value] += 1
-        if self._refusals.take(self._clock.now()):
-            waiting.answer(result)
-            self._door.tell_result(result)
-        else:
-            self._stats.untold += 1
-
-    def _stop_line(self, line: str, waiting: Waiting) -> None:
-        for drive in self._door.lines.get(line, ()):
-            self._hand_over_all(drive)
-        command = waiting.command
-        self._door.stop_line(line, command.verb, command.source, waiting.answer, command.id)
-
-    def _hand_over_all(self, drive: str) -> None:
-        """Hand on what waits for a drive, so that the door can end it in favour of a stop (SAFETY.md H10)."""
-        for waiting in self._inbox.take_all(drive):
-            self._door.submit(waiting.command, waiting.answer)
-
     def hand_over(self, most: int) -> bool:
         """Hand on that many commands; say whether more wait."""
-        for _ in range(most):
-            waiting = self._inbox.take()
-            if waiting is None:
-                return False
-            self._door.submit(waiting.command, waiting.answer)
-        return self.is_waiting
+        return self._intake.hand_over(most)
 
     # ---- what goes out
 
@@ -196,10 +123,6 @@ class Listener:
         """Publish what happened, with its time; it is counted, and not kept, where that cannot be now."""
         if self._wire is None or not self._wire.say(self._root + topic, text, expiry=FORGET):
             self._stats.untold += 1
-
-
-def _nobody(_result: Result) -> None:
-    """Tell nobody."""
 
 
 def _may_be_answered_on(topic: str) -> bool:

@@ -46,24 +46,32 @@ HINTS = (
 UNEXPLAINED = 'see the broker\'s log; if it knows no MQTT 5, set mqtt.version = "3.1.1"; mqtts:// may be wanted'
 
 
-def of_code(code: int, name: str) -> str:
-    """Explain a reason code of the broker."""
-    return f"{name} (reason code {code:02X}H); {REMEDIES.get(code, REMEDIES[0x80])}"
+def _by_table(remedy: str, table: str) -> str:
+    """Return a remedy with its keys as they stand in a table of the configuration: mqtt, or sparkplug."""
+    if table != "mqtt":
+        remedy = remedy.replace("mqtt.base", "its topics").replace("mqtt.longest_silence or ", "")
+    return remedy.replace("mqtt.", f"{table}.")
 
 
-def of_subscription(code: int, name: str) -> str:
+def of_code(code: int, name: str, table: str = "mqtt") -> str:
+    """Explain a reason code of the broker; `table` of the configuration is what to change."""
+    return f"{name} (reason code {code:02X}H); {_by_table(REMEDIES.get(code, REMEDIES[0x80]), table)}"
+
+
+def of_subscription(code: int, name: str, table: str = "mqtt") -> str:
     """Explain why the broker lets nobody send commands here."""
-    return f"{name} (reason code {code:02X}H); let this user subscribe below mqtt.base in the broker's rules"
+    remedy = _by_table("let this user subscribe below mqtt.base in the broker's rules", table)
+    return f"{name} (reason code {code:02X}H); {remedy}"
 
 
-def of_error(error: str) -> str:
+def of_error(error: str, table: str = "mqtt") -> str:
     """Explain the error of a socket or of TLS."""
     hint = next((hint for needle, hint in HINTS if needle in error), None)
-    return f"{error}; {hint}" if hint else error
+    return f"{error}; {_by_table(hint, table)}" if hint else error
 
 
-def of_silence(error: str) -> str:
+def of_silence(error: str, table: str = "mqtt") -> str:
     """Explain why a broker closed the connection, or said nothing, instead of accepting it."""
     said = error or "the broker closed the connection before it answered"
-    explained = of_error(said)
-    return explained if explained != said else f"{said}; {UNEXPLAINED}"
+    explained = of_error(said, table)
+    return explained if explained != said else f"{said}; {_by_table(UNEXPLAINED, table)}"

@@ -25,10 +25,11 @@ class Ears:
 class Reception:
     """The messages of one connection, from paho's callbacks to whoever hears them."""
 
-    def __init__(self, client: Any, stats: MqttStats) -> None:
+    def __init__(self, client: Any, stats: MqttStats, table: str = "mqtt") -> None:
         self.count = 0  # messages noted so far
         self._client = client
         self._stats = stats
+        self._table = table
         self._noted: list[Message] = []
         self._ears: Ears | None = None
         self._asked: dict[int, list[str]] = {}
@@ -68,7 +69,8 @@ class Reception:
         self._is_subscribed = True
         for topic, code in zip(self._asked.pop(mid, ()), codes, strict=False):
             if code.is_failure:
-                log.warning("no commands by %s: %s", topic, reasons.of_subscription(code.value, code.getName()))
+                why = reasons.of_subscription(code.value, code.getName(), self._table)
+                log.warning("no commands by %s: %s", topic, why)
 
     def hand_over(self) -> None:
         """Hand on what was noted, outside of paho's lock."""

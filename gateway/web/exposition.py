@@ -97,6 +97,15 @@ OF_MQTT: tuple[Number[MqttStats], ...] = (
     Number("tosvert_mqtt_waiting_messages", "Messages that wait for the broker.", lambda mqtt: mqtt.waiting),
 )
 
+OF_SPARKPLUG: tuple[Number[MqttStats], ...] = (
+    Number("tosvert_sparkplug_connected", "Whether Sparkplug's broker is connected.", lambda spb: spb.is_connected),
+    Number("tosvert_sparkplug_connects_total", "Connections made to that broker.", lambda spb: spb.connects),
+    Number("tosvert_sparkplug_published_total", "Births, data and deaths handed to it.", lambda spb: spb.published),
+    Number("tosvert_sparkplug_dropped_total", "Messages that were too large for it.", lambda spb: spb.dropped),
+    Number("tosvert_sparkplug_inbox_dropped_total", "Commands that found no room.", lambda spb: spb.inbox_dropped),
+    Number("tosvert_sparkplug_waiting_messages", "Messages that wait for it.", lambda spb: spb.waiting),
+)
+
 OF_MODBUS_TCP: tuple[Number[TcpStats], ...] = (
     Number("tosvert_modbus_tcp_connections", "Clients that are connected.", lambda tcp: tcp.connections),
     Number("tosvert_modbus_tcp_accepted_total", "Connections that were accepted.", lambda tcp: tcp.accepted),
@@ -131,6 +140,9 @@ def families(site: Site, image: Image, stats: Stats, now: float, ledger: Ledger 
     if site.config.mqtt is not None:
         for number in OF_MQTT:
             yield number.family((), [((), stats.mqtt)])
+    if site.config.sparkplug is not None:
+        for number in OF_SPARKPLUG:
+            yield number.family((), [((), stats.sparkplug)])
     if site.config.modbus_tcp is not None:
         yield from _of_modbus_tcp(stats.tcp)
 

@@ -141,6 +141,8 @@ def as_document(
     }
     if site.config.mqtt is not None:
         document["mqtt"] = {"connected": stats.mqtt.is_connected}
+    if site.config.sparkplug is not None:
+        document["sparkplug"] = {"connected": stats.sparkplug.is_connected}
     if ledger is not None:
         document["store"] = {"problem": ledger.problem, "audit_dropped": ledger.dropped}
     return document

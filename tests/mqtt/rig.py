@@ -183,13 +183,14 @@ class Impostor:
 class Log(logging.Handler):
     """The bridge's log, in which a test can wait for a line."""
 
-    def __init__(self) -> None:
+    def __init__(self, name: str = "gateway.mqtt") -> None:
         super().__init__(logging.DEBUG)
+        self._name = name
         self.records: list[logging.LogRecord] = []
         self._changed = asyncio.Event()
 
     def __enter__(self) -> Log:
-        self._logger = logging.getLogger("gateway.mqtt")
+        self._logger = logging.getLogger(self._name)
         self._level = self._logger.level
         self._logger.setLevel(logging.DEBUG)
         self._logger.addHandler(self)

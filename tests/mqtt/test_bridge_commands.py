@@ -297,7 +297,7 @@ async def test_a_flood_is_bounded_and_a_stop_gets_through(broker: Mosquitto, ver
                 await asyncio.sleep(0)
                 longest = max(longest, loop.time() - before)
                 assert made.bridge._listener is not None
-                most = max(most, len(made.bridge._listener._inbox))
+                most = max(most, len(made.bridge._listener._intake._inbox))
 
         serving = asyncio.create_task(serve())
         await publish(broker.port, COMMAND, lines=flood)

@@ -10,7 +10,7 @@ import pytest
 
 from gateway.control.command import Channel, Command, Result, Source, Status, Verb
 from gateway.control.state import Standing
-from gateway.mqtt import commands, inbox, listener, outcome
+from gateway.mqtt import commands, inbox, intake, outcome
 from gateway.mqtt.message import Message, Moment
 from tests.mqtt.doors import LEASED, READ_ONLY, KeptDoor, StandingClock, nc3
 
@@ -91,5 +91,5 @@ def test_results_events_and_control_have_the_documented_keys() -> None:
 def test_the_documented_numbers_are_those_of_the_code() -> None:
     """How many wait, how many are told of."""
     assert f"more than {inbox.MOST} that wait" in PAGE
-    assert f"of the refusals {listener.REFUSALS:.0f} a second" in PAGE
+    assert f"of the refusals {intake.REFUSALS:.0f} a second" in PAGE
     assert f"at most {commands.MOST_WORDS}:" in PAGE

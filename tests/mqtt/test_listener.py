@@ -13,7 +13,8 @@ from gateway.control.command import Channel, Reason, Source, Status, Verb
 from gateway.control.door import Door
 from gateway.metrics import MqttStats
 from gateway.mqtt.inbox import MOST
-from gateway.mqtt.listener import REFUSALS, REFUSALS_AT_ONCE, Listener
+from gateway.mqtt.intake import REFUSALS, REFUSALS_AT_ONCE
+from gateway.mqtt.listener import Listener
 from gateway.mqtt.message import Message
 from tests.mqtt.doors import DIRECT, LEASED, READ_ONLY, KeptDoor, StandingClock, small_site
 from tests.mqtt.rig import section

@@ -47,6 +47,7 @@ def table(**more: Any) -> dict[str, Any]:
     return {
         "gateway": {"name": "hall-3"},
         "mqtt": {"url": "mqtt://127.0.0.1:1883"},
+        "sparkplug": {"url": "mqtt://127.0.0.1:1883", "group_id": "plant-1"},
         "modbus_tcp": {},
         "web": {"listen": "127.0.0.1:0"},
         "line": [

@@ -82,6 +82,9 @@ def busy() -> Rig:
     mqtt, tcp = rig.stats.mqtt, rig.stats.tcp
     mqtt.is_connected, mqtt.connects, mqtt.published, mqtt.dropped, mqtt.waiting = True, 2, 900, 4, 17
     mqtt.inbox_dropped = 5
+    sparkplug = rig.stats.sparkplug
+    sparkplug.is_connected, sparkplug.connects, sparkplug.published, sparkplug.dropped = True, 3, 70, 1
+    sparkplug.inbox_dropped, sparkplug.waiting = 6, 8
     tcp.connections, tcp.accepted, tcp.turned_away = 5, 9, 1
     tcp.requests.update({3: 700, 4: 20, 43: 1})
     tcp.exceptions.update({2: 6, 11: 8})
@@ -162,6 +165,12 @@ def test_northbound_counters_are_shown(busy: Rig) -> None:
     assert value(busy, "tosvert_mqtt_dropped_total") == 4
     assert value(busy, "tosvert_mqtt_inbox_dropped_total") == 5
     assert value(busy, "tosvert_mqtt_waiting_messages") == 17
+    assert value(busy, "tosvert_sparkplug_connected") == 1
+    assert value(busy, "tosvert_sparkplug_connects_total") == 3
+    assert value(busy, "tosvert_sparkplug_published_total") == 70
+    assert value(busy, "tosvert_sparkplug_dropped_total") == 1
+    assert value(busy, "tosvert_sparkplug_inbox_dropped_total") == 6
+    assert value(busy, "tosvert_sparkplug_waiting_messages") == 8
     assert value(busy, "tosvert_modbus_tcp_connections") == 5
     assert value(busy, "tosvert_modbus_tcp_accepted_total") == 9
     assert value(busy, "tosvert_modbus_tcp_turned_away_total") == 1
@@ -207,10 +216,10 @@ def test_a_drive_never_heard_is_older_than_any_alarm() -> None:
 
 
 def test_what_is_not_configured_is_not_exposed() -> None:
-    """Without the sections [mqtt] and [modbus_tcp] there are no zeros that look like a broker that is away."""
-    without = {key: section for key, section in table().items() if key not in ("mqtt", "modbus_tcp")}
+    """Without the sections there are no zeros that look like a broker that is away."""
+    without = {key: section for key, section in table().items() if key not in ("mqtt", "sparkplug", "modbus_tcp")}
     names = {name for name, _ in scraped(Rig(site.build(without, "test", Path())))}
-    assert not [name for name in names if "mqtt" in name or "modbus" in name]
+    assert not [name for name in names if "mqtt" in name or "sparkplug" in name or "modbus" in name]
     assert "tosvert_line_up" in names
 
 

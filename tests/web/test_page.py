@@ -174,6 +174,7 @@ def test_the_document_says_it_all(rig: Rig) -> None:
         "reasons": ["offline: no answer"],
     }
     assert document["mqtt"] == {"connected": True}
+    assert document["sparkplug"] == {"connected": False}
 
 
 def test_the_document_is_json_before_the_first_answer() -> None:
@@ -184,10 +185,10 @@ def test_the_document_is_json_before_the_first_answer() -> None:
 
 
 def test_the_broker_is_shown_only_where_one_is_configured() -> None:
-    """Without a section [mqtt] there is nothing to say."""
-    without = {key: section for key, section in table().items() if key != "mqtt"}
+    """Without a section there is nothing to say."""
+    without = {key: section for key, section in table().items() if key not in ("mqtt", "sparkplug")}
     rig = Rig(site.build(without, "test", Path()))
-    assert "mqtt" not in page.as_document(judged(rig), rig.built, rig.stats, WALL)
+    assert not {"mqtt", "sparkplug"} & set(page.as_document(judged(rig), rig.built, rig.stats, WALL))
 
 
 def test_the_start_page_says_that_it_is_no_safety_function() -> None:
