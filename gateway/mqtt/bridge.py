@@ -140,7 +140,7 @@ class Bridge:
             if now >= tend_at:
                 tend_at = now + TEND_EVERY
                 connection.tend()
-                self._publisher.look()
+                self._publisher.look(now)
             are_waiting = self._listener is not None and self._listener.hand_over(HANDED_OVER)
             has_room = connection.room >= enough
             if self._publisher.is_owing and has_room:

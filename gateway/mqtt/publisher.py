@@ -15,6 +15,7 @@ from gateway.control.drive_control import DriveControl
 from gateway.image import DriveImage, Image, Quality, Sample
 from gateway.metrics import MqttStats
 from gateway.mqtt import outcome, payload, topics
+from gateway.mqtt.filters import Policy, policies
 from gateway.mqtt.report import Report
 
 PER_VALUE = 3  # messages: number, words, quality
@@ -49,23 +50,27 @@ class Outlet:
         self._control = control
         self._stats = stats
         self._topics = topics.of_drive(section.base, gateway, image)
-        self._report = Report(image, section.deadband, section.longest_silence)
+        found = policies(section, image)
+        self._report = Report(image, found)
         self._state = payload.StateWriter(image) if "state" in section.publish else None
         self._has_values = "values" in section.publish
         self._retain = section.retain
-        self._expiry = {name: self._expiry_of(name, section.longest_silence) for name in image.names}
-        self._state_expiry = max(self._expiry.values())
+        self._expiry = {name: self._expiry_of(name, policy) for name, policy in found.items()}
+        self._state_expiry = max(self._expiry.values()) + math.ceil(section.state_interval)
+        self._state_interval = section.state_interval
+        self._state_at = float("-inf")
+        self._is_state_held = False
         self._qualities: dict[str, Quality] = {}
         self._owed: dict[str, None] = {}
         self._owes_state = False
         self._owes_standing = False
         self._said: dict[str, str] = {}  # topic -> what the broker was last told of all but values
 
-    def _expiry_of(self, name: str, longest_silence: float) -> int:
+    def _expiry_of(self, name: str, policy: Policy) -> int:
         """Return when a number is to be forgotten: twice the time in which a value that is read is said again."""
         derived = self.image.derived.get(name)
         max_age = self.image.points[derived.of if derived else name].max_age
-        return math.ceil(2 * (longest_silence + max_age))
+        return math.ceil(2 * (policy.max_interval + max_age))
 
     @property
     def is_owing(self) -> bool:
@@ -97,14 +102,24 @@ class Outlet:
             self._settle_standing(wire)
             self._owes_state |= self._state is not None and self.image.version > 0
             names = [n for n in self.image.names if self._report.has_turned(n, self.image.quality(n, now))]
-        is_news = False
+        is_news = has_turned = False
         for name in names:
             sample = self.image.sample(name, now)
             if self._report.is_due(name, sample, now):
                 is_news = True
+                has_turned |= self._report.has_turned(name, sample.quality)
                 self._tell_value(wire, name, sample, now)
         if is_news and self._state is not None:
-            self._tell_state(self._state, wire, now)
+            if has_turned or now - self._state_at >= self._state_interval:
+                self._tell_state(self._state, wire, now)
+            else:
+                self._is_state_held = True
+
+    def release(self, now: float) -> None:
+        """Owe what had to wait for its turn, when that has come."""
+        self._owed.update(dict.fromkeys(self._report.released(now)))
+        if self._is_state_held and now - self._state_at >= self._state_interval:
+            self._owes_state = True
 
     def _tell_value(self, wire: Wire, name: str, sample: Sample, now: float) -> None:
         if not self._has_values or wire.room >= PER_VALUE:
@@ -115,7 +130,7 @@ class Outlet:
 
     def _tell_state(self, state: payload.StateWriter, wire: Wire, now: float) -> None:
         if wire.room:
-            self._send_state(wire, state.write(now))
+            self._send_state(wire, state.write(now), now)
         else:
             self._owes_state = True
             self._stats.dropped += 1
@@ -128,7 +143,7 @@ class Outlet:
             name = next(iter(self._owed))
             self._send_value(wire, name, self.image.sample(name, now), now)
         elif self._state is not None and self._owes_state:
-            self._send_state(wire, self._state.write(now))
+            self._send_state(wire, self._state.write(now), now)
 
     def _settle_standing(self, wire: Wire) -> None:
         """Say what the broker does not know yet of availability, trip, reset and control, as far as there is room."""
@@ -172,8 +187,9 @@ class Outlet:
             self._qualities[name] = quality
             wire.send(self._topics.values[name].quality, payload.WORDS[quality], retain=True, expiry=FOR_EVER)
 
-    def _send_state(self, wire: Wire, text: str) -> None:
-        self._owes_state = False
+    def _send_state(self, wire: Wire, text: str, now: float) -> None:
+        self._owes_state = self._is_state_held = False
+        self._state_at = now
         wire.send(self._topics.state, text, retain=self._retain, expiry=self._state_expiry)
 
     def leave(self, wire: Wire) -> None:
@@ -188,7 +204,7 @@ class Outlet:
         for name in [name for name, quality in self._qualities.items() if quality is Quality.GOOD]:
             self._send_value(wire, name, payload.left_behind(self.image.sample(name, now)), now)
         if self._state is not None:
-            self._send_state(wire, self._state.write(now, is_leaving=True))
+            self._send_state(wire, self._state.write(now, is_leaving=True), now)
 
 
 class Publisher:
@@ -236,11 +252,14 @@ class Publisher:
         self._outlets[drive].owe_standing()
         self._debtors[drive] = self._outlets[drive]
 
-    def look(self) -> None:
-        """Look whether who may command a drive has changed without a word."""
+    def look(self, now: float) -> None:
+        """Look whether who may command a drive has changed without a word, and what need not wait any longer."""
         for drive, outlet in self._outlets.items():
+            outlet.release(now)
             if outlet.is_control_news:
-                self.owe_standing(drive)
+                outlet.owe_standing()
+            if outlet.is_owing:
+                self._debtors[drive] = outlet
 
     def settle(self, wire: Wire, now: float, steps: int) -> None:
         """Send some of what is owed: at most `steps` values, so that the line need not wait long."""

@@ -349,3 +349,40 @@ def test_what_a_broker_retains_always_comes_to_be_the_image(story: list[tuple[st
     assert made.broker.retained == expected(made.pump, made.now) | {STATUS: "online"}
     fresh = json.loads(payload.StateWriter(made.pump).write(made.now), parse_float=Decimal, parse_int=Decimal)
     assert {**state, "time": None} == {**fresh, "time": None}
+
+
+def test_a_held_value_is_owed_when_its_time_has_come() -> None:
+    """Though it is not read again."""
+    made = Published(filter=[{"values": ["output_frequency"], "min_interval": "500ms"}], publish=["values"])
+    made.connect()
+    made.read(**EVERY)
+    made.now = 0.1
+    made.read(output_frequency=6000)
+    made.publisher.look(0.4)
+    assert not made.publisher.is_owing
+    assert made.broker.newest[f"{ROOT}/output_frequency"] == "0.00"
+    made.now = 0.5
+    made.publisher.look(0.5)
+    made.settle()
+    assert made.broker.newest[f"{ROOT}/output_frequency"] == "60.00"
+
+
+def test_states_are_no_more_frequent_than_asked() -> None:
+    """The last one comes when its time has come; a quality that changes is never kept waiting."""
+    made = Published(publish=["state"], state_interval="1s")
+    made.connect()
+    made.read(**EVERY)
+    made.broker.topics()
+    for step in range(1, 10):
+        made.now = step / 10
+        made.read(output_frequency=6000 + step)
+    assert made.broker.topics() == []
+    made.publisher.look(1.0)
+    made.now = 1.0
+    made.settle()
+    assert made.broker.topics() == [f"{ROOT}/state"]
+    assert json.loads(made.broker.retained[f"{ROOT}/state"])["output_frequency"] == 60.09
+    made.now = 1.1
+    made.pump.set_link(LinkState.OFFLINE)
+    made.settle()
+    assert f"{ROOT}/state" in made.broker.topics()
