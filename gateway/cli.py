@@ -18,8 +18,10 @@ from gateway.commissioning import commands as commissioning
 from gateway.config import Config
 from gateway.drives import catalogue
 from gateway.errors import BadConfig, GatewayError, Refused
+from gateway.image import Image
 from gateway.modbus_tcp import mapping
 from gateway.mqtt import topics
+from gateway.mqtt.discovery import Discovery
 from gateway.sim import runner, settings
 from gateway.store import commands as store
 
@@ -122,6 +124,9 @@ def check_file(file: ConfigFile) -> None:
         typer.echo("\nMQTT topics")
         for topic in topics.overview(section, configured):
             typer.echo(f"  {topic}")
+        if section.home_assistant.enabled:
+            for topic in Discovery(section, configured.config.gateway.name, Image(configured.drives)).topics():
+                typer.echo(f"  {topic}")
     if configured.config.modbus_tcp is not None:
         typer.echo(f"\nMODBUS-TCP on {configured.config.modbus_tcp.listen}")
         typer.echo(mapping.as_markdown(mapping.register_map(configured)))

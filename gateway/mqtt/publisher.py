@@ -15,7 +15,10 @@ from gateway.control.drive_control import DriveControl
 from gateway.image import DriveImage, Image, Quality, Sample
 from gateway.metrics import MqttStats
 from gateway.mqtt import outcome, payload, topics
+from gateway.mqtt.description import Description
+from gateway.mqtt.discovery import Discovery
 from gateway.mqtt.filters import Policy, policies
+from gateway.mqtt.message import Message
 from gateway.mqtt.report import Report
 
 PER_VALUE = 3  # messages: number, words, quality
@@ -52,6 +55,7 @@ class Outlet:
         self._topics = topics.of_drive(section.base, gateway, image)
         found = policies(section, image)
         self._report = Report(image, found)
+        self._description = Description(image, section, gateway)
         self._state = payload.StateWriter(image) if "state" in section.publish else None
         self._has_values = "values" in section.publish
         self._retain = section.retain
@@ -152,6 +156,7 @@ class Outlet:
             to.tripped: payload.TRUTH[image.is_tripped],
             to.reset_needed: payload.TRUTH[image.is_reset_needed],
             to.control: outcome.standing(self._control),
+            to.description: self._description.write(),
             to.availability: payload.presence(image.link.is_connected),
         }
         for topic, text in standing.items():
@@ -218,6 +223,9 @@ class Publisher:
         stats: MqttStats,
         controls: Mapping[str, DriveControl] | None = None,
     ) -> None:
+        is_discovered = section.home_assistant.enabled
+        self.discovery = Discovery(section, gateway, image) if is_discovered else None
+        self._forgets = not section.retain
         self.status_topic = topics.status(section.base, gateway)
         control = controls or {}
         self._outlets = {
@@ -230,7 +238,8 @@ class Publisher:
     @property
     def is_owing(self) -> bool:
         """Say whether the broker lacks anything."""
-        return bool(self._debtors) or self._owes_birth
+        has_to_tell = self.discovery is not None and self.discovery.is_owing
+        return bool(self._debtors) or self._owes_birth or has_to_tell
 
     def owe_everything(self) -> None:
         """Begin anew after a connect. The birth comes last: "online" vouches for all that was said before."""
@@ -238,12 +247,16 @@ class Publisher:
             outlet.owe_everything()
         self._debtors = dict(self._outlets)
         self._owes_birth = True
+        if self.discovery is not None:
+            self.discovery.owe_everything()
 
     def tell(self, wire: Wire, image: DriveImage, names: Sequence[str], now: float) -> None:
         """Send what is news of a drive; see `Outlet.tell`."""
         name = image.drive.name
         outlet = self._outlets[name]
         outlet.tell(wire, names, now)
+        if not names and self.discovery is not None:
+            self.discovery.notice(image)
         if outlet.is_owing:
             self._debtors[name] = outlet
 
@@ -260,6 +273,8 @@ class Publisher:
                 outlet.owe_standing()
             if outlet.is_owing:
                 self._debtors[drive] = outlet
+        if self.discovery is not None and self.discovery.look(now):
+            self._tell_again()
 
     def settle(self, wire: Wire, now: float, steps: int) -> None:
         """Send some of what is owed: at most `steps` values, so that the line need not wait long."""
@@ -267,17 +282,31 @@ class Publisher:
             if wire.room < PER_VALUE:
                 return
             if not self._debtors:
-                self._settle_birth(wire)
+                self._settle_rest(wire)
                 return
             name, outlet = next(iter(self._debtors.items()))
             outlet.settle(wire, now)
             if not outlet.is_owing:
                 del self._debtors[name]
 
-    def _settle_birth(self, wire: Wire) -> None:
+    def _settle_rest(self, wire: Wire) -> None:
+        """Send the birth, or one message for Home Assistant."""
         if self._owes_birth:
             self._owes_birth = False
             wire.send(self.status_topic, payload.ONLINE, retain=True, expiry=FOR_EVER)
+        elif self.discovery is not None and self.discovery.is_owing:
+            topic, text = self.discovery.next()
+            wire.send(topic, text, retain=True, expiry=FOR_EVER)
+
+    def hear(self, message: Message, now: float) -> None:
+        """Take what the broker keeps from before, or that Home Assistant has started."""
+        if self.discovery is not None and self.discovery.hear(message, now):
+            self._tell_again()
+
+    def _tell_again(self) -> None:
+        """Owe the values as well, where the broker keeps none."""
+        if self._forgets:
+            self.owe_everything()
 
     def leave(self, wire: Wire, now: float) -> None:
         """Say that the gateway ends: first what takes the trust from everything, then the rest one by one."""

@@ -68,7 +68,7 @@ class Reception:
         self._is_subscribed = True
         for topic, code in zip(self._asked.pop(mid, ()), codes, strict=False):
             if code.is_failure:
-                log.warning("no commands by %s: %s", topic, reasons.of_subscription(code.value, code.getName()))
+                log.warning("nothing is heard by %s: %s", topic, reasons.of_subscription(code.value, code.getName()))
 
     def hand_over(self) -> None:
         """Hand on what was noted, outside of paho's lock."""

@@ -109,6 +109,7 @@ def test_a_connect_brings_everything_and_the_birth_last() -> None:
     made.connect()
     assert made.broker.heard[-1] == (STATUS, "online")
     state = made.broker.retained.pop(f"{ROOT}/state")
+    assert json.loads(made.broker.retained.pop(f"{ROOT}/description"))["drive"] == "pump-1"
     assert made.broker.retained == expected(made.pump, 0.0) | {STATUS: "online"}
     assert json.loads(state)["quality"] == "good"
 
@@ -157,7 +158,7 @@ def test_values_alone_and_the_state_alone() -> None:
         made.read(**EVERY)
         made.connect()
     assert f"{ROOT}/state" not in values.broker.retained
-    drive = {f"{ROOT}/{name}" for name in ("availability", "reset_needed", "control", "state")}
+    drive = {f"{ROOT}/{name}" for name in ("availability", "reset_needed", "control", "description", "state")}
     assert set(state.broker.retained) == {STATUS, *drive}
 
 
@@ -346,6 +347,7 @@ def test_what_a_broker_retains_always_comes_to_be_the_image(story: list[tuple[st
     made.image.sweep(made.now)
     made.settle()
     state = json.loads(made.broker.retained.pop(f"{ROOT}/state"), parse_float=Decimal, parse_int=Decimal)
+    assert made.broker.retained.pop(f"{ROOT}/description")
     assert made.broker.retained == expected(made.pump, made.now) | {STATUS: "online"}
     fresh = json.loads(payload.StateWriter(made.pump).write(made.now), parse_float=Decimal, parse_int=Decimal)
     assert {**state, "time": None} == {**fresh, "time": None}
