@@ -185,7 +185,7 @@ def _of_words(place: Place, name: str, category: str | None) -> Component:
         name,
         titled(name),
         state_topic=topic,
-        value_template=f"{{{{ {expression}[:{LONGEST_STATE}] }}}}",
+        value_template=f"{{{{ ({expression} or '')[:{LONGEST_STATE}] }}}}",  # null in the state where it is not good
         entity_category=category,
         availability=place.of_value(name),
         availability_mode="all",

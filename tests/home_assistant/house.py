@@ -14,7 +14,7 @@ PYTHON = ROOT / ".home-assistant" / "bin" / "python"
 IS_THERE = PYTHON.exists()
 WHY_NOT = "there is no .home-assistant: make home-assistant"
 INSIDE = Path(__file__).with_name("inside.py")
-LIMIT = 30.0  # seconds after which a wait is given up
+LIMIT = 60.0  # seconds after which a wait is given up; a busy machine takes half of it to start
 STEP = 0.5  # seconds between two looks
 OF_THE_ENVIRONMENT = (  # how complaints begin that are of its own set-up, and of nothing that it was told
     "aiohttp_fast_zlib:",

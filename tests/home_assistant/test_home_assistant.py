@@ -40,20 +40,30 @@ PAGE = (Path(__file__).parents[2] / "docs" / "home-assistant.md").read_text(enco
 AUTOMATION = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)[0]
 
 
-def configured(path: Path, poll: str = MORE) -> None:
-    """Have the gateway read more of the drive."""
+def configured(path: Path, poll: str, publish: str) -> None:
+    """Have the gateway read more of the drive, and publish in one form only, where that is asked for."""
     text = path.read_text(encoding="utf-8")
     assert POLL in text
-    path.write_text(text.replace(POLL, "") + poll, encoding="utf-8")
+    text = text.replace(POLL, "") + poll
+    if publish:
+        text = text.replace("[mqtt]\n", f'[mqtt]\npublish = ["{publish}"]\n')
+    path.write_text(text, encoding="utf-8")
 
 
 @contextlib.contextmanager
 def at_work(
-    line: SimulatedLine, broker: Mosquitto, folder: Path, control: str = DIRECT, poll: str = MORE, options: str = ""
+    line: SimulatedLine,
+    broker: Mosquitto,
+    folder: Path,
+    control: str = DIRECT,
+    *,
+    poll: str = MORE,
+    options: str = "",
+    publish: str = "",
 ) -> Iterator[Stage]:
     """Run a gateway on a line that tells Home Assistant of its drive."""
     path, tcp, web = written(folder, line.port, broker.port, control, DISCOVERED + options)
-    configured(path, poll)
+    configured(path, poll, publish)
     told = folder / "told"
     with telling(broker.port, told), gateway(path, folder / "log") as process:
         stage = Stage(line, broker, process, told, tcp, web)
@@ -223,3 +233,28 @@ def test_an_automation_keeps_a_lease_and_its_end_stops_the_motor(tmp_path: Path)
         house.kill()
         until(lambda: not stage.is_running, "the end of the lease")
         assert stage.until_event("lease_lost")
+
+
+@pytest.mark.hazard("H19")
+@pytest.mark.parametrize("publish", ["values", "state"])
+def test_a_drive_that_falls_silent_becomes_unavailable_and_comes_back(tmp_path: Path, publish: str) -> None:
+    """No number stays as if it were new, whether values have topics of their own or stand in the state."""
+    with (
+        plant(tmp_path) as (line, broker),
+        at_work(line, broker, tmp_path, publish=publish) as stage,
+        HomeAssistant(tmp_path / "home", broker.port) as house,
+    ):
+        stage.do("arm", '{"command": "run", "frequency": 20.0}')
+        house.until_state("sensor.pump_1_output_frequency", "20.00" if publish == "values" else "20.0")
+        house.until_state("binary_sensor.pump_1_running", "on")
+        house.until_state("select.pump_1_direction", "forward")
+        assert house.state("sensor.pump_1_trip_code") == "nerr: No error"
+        line.unplug()
+        house.until_state("binary_sensor.pump_1_link", "off")
+        for entity in ("sensor.pump_1_output_frequency", "binary_sensor.pump_1_running", "sensor.pump_1_trip_code"):
+            house.until_state(entity, "unavailable")
+        assert house.state("button.pump_1_stop") != "unavailable"
+        line.plug()
+        house.until_state("binary_sensor.pump_1_link", "on")
+        house.until_state("sensor.pump_1_trip_code", "nerr: No error")
+        assert house.complaints == []
