@@ -9,6 +9,9 @@ TEST_ARGS =
 SOAK = 10
 LOCK_ARGS =
 BENCH_ARGS =
+ACCEPT =
+HOUSE = .home-assistant
+HOME_ASSISTANT_PYTHON = python3.13
 PROVE_ARGS =
 FOREIGN = tools/foreign
 UV = uv>=0.9,<1
@@ -16,9 +19,11 @@ PIP = tools/quietly $(BIN)/python -m pip --disable-pip-version-check --no-input
 FROM_LOCK = install --require-hashes --no-deps
 LOCK = $(BIN)/uv pip compile -q --universal --generate-hashes --python-version 3.11 \
 	--custom-compile-command "make lock"
+LOCK_HOUSE = $(BIN)/uv pip compile -q --universal --generate-hashes --python-version 3.13 \
+	--custom-compile-command "make lock"
 
 help: ## list the targets
-	@sed -n 's/^\([a-z-]*\):.*## /\1#/p' Makefile | awk -F'#' '{ printf "make %-12s%s\n", $$1, $$2 }'
+	@sed -n 's/^\([a-z-]*\):.*## /\1#/p' Makefile | awk -F'#' '{ printf "make %-15s%s\n", $$1, $$2 }'
 
 demo: $(VENV)/.demo $(VENV)/.package ## show the main job without hardware (DEMO_ARGS="--mqtt-port 11883")
 	@$(BIN)/tosvert-gateway demo $(DEMO_ARGS)
@@ -42,6 +47,9 @@ test-quick: $(VENV)/.dev $(VENV)/.package ## the tests that need no other progra
 soak: $(VENV)/.dev $(VENV)/.package programs $(VENV)/.foreign ## the tests with ten times as many inputs (SOAK=100: a hundred times)
 	@PATH="$$PATH:/usr/sbin" TOSVERT_SOAK=$(SOAK) $(BIN)/python -m tools.suite $(TEST_ARGS)
 
+home-assistant: $(VENV)/.dev $(VENV)/.package $(HOUSE)/.made programs ## let Home Assistant's own code judge what it is told (ACCEPT=1: remember it)
+	@PATH="$$PATH:/usr/sbin" TOSVERT_ACCEPT=$(ACCEPT) $(BIN)/pytest -q tests/home_assistant $(TEST_ARGS)
+
 prove: $(VENV)/.dev $(VENV)/.package programs ## prove that the tests of each hazard fail without its rule (PROVE_ARGS="H05")
 	@PATH="$$PATH:/usr/sbin" $(BIN)/python -m tools.prove $(PROVE_ARGS)
 	@$(BIN)/python -m tools.hazards
@@ -58,6 +66,7 @@ lock: $(VENV)/.dev ## bring the lock files up to pyproject.toml (LOCK_ARGS=--upg
 	@$(PIP) install '$(UV)'
 	$(LOCK) $(LOCK_ARGS) --extra demo -o requirements.lock pyproject.toml
 	$(LOCK) $(LOCK_ARGS) --group build -o requirements-build.lock
+	$(LOCK_HOUSE) $(LOCK_ARGS) --group home-assistant -o tests/home_assistant/requirements.lock
 	$(LOCK) $(LOCK_ARGS) --extra demo --group dev --group bench --group build \
 		-c requirements.lock -c requirements-build.lock -o requirements-dev.lock pyproject.toml
 	$(LOCK) $(LOCK_ARGS) -o $(FOREIGN)/requirements.lock $(FOREIGN)/requirements.in
@@ -69,7 +78,7 @@ programs: # what the tests start beside Python
 		node:nodejs npm:npm
 
 clean: ## remove what make has made
-	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(HOUSE) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 	rm -rf .coverage htmlcov
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
@@ -77,6 +86,10 @@ clean: ## remove what make has made
 $(VENV)/.made: requirements.lock requirements-dev.lock requirements-build.lock
 	@PYTHON="$(PYTHON)" tools/make-venv $(VENV)
 	@$(PIP) $(FROM_LOCK) -r requirements-build.lock
+	@touch $@
+
+$(HOUSE)/.made: tests/home_assistant/requirements.lock
+	@HOME_ASSISTANT_PYTHON="$(HOME_ASSISTANT_PYTHON)" tools/make-home-assistant $(HOUSE)
 	@touch $@
 
 $(VENV)/.demo: $(VENV)/.made
@@ -102,4 +115,4 @@ $(VENV)/.package: $(VENV)/.made pyproject.toml
 	@$(PIP) install --no-deps --no-build-isolation -e .
 	@touch $@
 
-.PHONY: help demo check test test-quick soak prove bench generate lock programs clean
+.PHONY: help demo check test test-quick soak home-assistant prove bench generate lock programs clean

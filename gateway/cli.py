@@ -18,8 +18,10 @@ from gateway.commissioning import commands as commissioning
 from gateway.config import Config
 from gateway.drives import catalogue
 from gateway.errors import BadConfig, GatewayError, Refused
+from gateway.image import Image
 from gateway.modbus_tcp import mapping
 from gateway.mqtt import topics
+from gateway.mqtt.discovery import Discovery
 from gateway.sim import runner, settings
 from gateway.sparkplug import topics as sparkplug_topics
 from gateway.store import commands as store
@@ -130,6 +132,9 @@ def check_file(file: ConfigFile) -> None:
         typer.echo("\nMQTT topics")
         for topic in topics.overview(section, configured):
             typer.echo(f"  {topic}")
+        if section.home_assistant.enabled:
+            for topic in Discovery(section, configured.config.gateway.name, Image(configured.drives)).topics():
+                typer.echo(f"  {topic}")
     if configured.config.sparkplug is not None:
         typer.echo("\nSparkplug topics")
         for topic in sparkplug_topics.overview(configured.config.sparkplug, configured):

@@ -66,6 +66,9 @@ Deadband = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 CommandSource = Literal["mqtt", "modbus-tcp", "sparkplug"]
 CommandName = Annotated[str, StringConstraints(pattern=r"^(\*|[a-z][a-z_]*)$")]
 ValueName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$")]
+ValuePattern = Annotated[str, StringConstraints(pattern=r"^[a-z0-9_*?]+$")]
+NamePattern = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_.*?-]+$")]
+SourceName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
 
 class Section(BaseModel):
     """A table of the file: unknown keys are refused, values are not coerced."""
@@ -137,6 +140,39 @@ def _broker_url(value: str) -> str:
         raise ValueError("user and password do not belong into the URL: use the keys user and password")
     return value
 
+class FilterSection(Section):
+    """How often some values are published; the last filter that says something of a value is the one that holds."""
+
+    values: list[ValuePattern] = Field(["*"], min_length=1, description="values by name; * and ? stand for any")
+    drives: list[NamePattern] = Field(["*"], min_length=1, description="drives by name; * and ? stand for any")
+    deadband: Deadband | None = Field(None, description="smallest change that is published, in the value's unit")
+    deadband_percent: Annotated[float, Field(ge=0, le=100)] | None = Field(
+        None, description="the same in % of what was published last; the larger of the two counts"
+    )
+    min_interval: Duration | None = Field(None, ge=0, le=86_400, description="not published more often than that")
+    max_interval: Duration | None = Field(
+        None, ge=0, le=86_400, description="published again after that though it has not changed; 0s: every reading"
+    )
+
+    @model_validator(mode="after")
+    def _says_something(self) -> FilterSection:
+        if self.model_fields_set <= {"values", "drives"}:
+            raise ValueError("it says nothing: give deadband, deadband_percent, min_interval or max_interval")
+        if self.min_interval and self.max_interval and self.min_interval > self.max_interval:
+            raise ValueError(f"min_interval {self.min_interval:g} s is above max_interval {self.max_interval:g} s")
+        return self
+
+class HomeAssistantSection(Section):
+    """Discovery by Home Assistant."""
+
+    enabled: bool = False
+    prefix: TopicPath = Field("homeassistant", description="its discovery prefix")
+    birth: TopicPath = Field("homeassistant/status", description="where it says that it has started")
+    source: SourceName = Field("home-assistant", description="what its commands call themselves")
+    heartbeat: bool = Field(
+        False, description="true: an automation sends heartbeats, so that it may hold the lease of a leased drive"
+    )
+
 class BrokerSection(Section):
     """A connection to a broker; `table` is the key of the section, by which errors name what to change."""
 
@@ -175,6 +211,9 @@ class MqttSection(BrokerSection):
     qos: Literal[0, 1, 2] = 0
     longest_silence: Duration = Field(seconds("60s"), ge=0, description="0s: publish every reading")
     deadband: dict[ValueName, Deadband] = Field({}, description="value name: smallest change that is published")
+    filter: list[FilterSection] = Field([], description="finer: how often which values are published")
+    state_interval: Duration = Field(0.0, ge=0, le=3600, description="least time between two states of a drive")
+    home_assistant: HomeAssistantSection = HomeAssistantSection()
 
 class SparkplugSection(BrokerSection):
     """Sparkplug B: the gateway as an edge node, on a connection of its own."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway import config as configuration
+from gateway import site_publishing
 from gateway.config import Config, DriveSection, LineSection, PollSection
 from gateway.drives import catalogue
 from gateway.drives.catalogue import Catalogue
@@ -181,7 +182,8 @@ def _contradictions(table: Mapping[str, Any], models: Catalogue) -> list[str]:
             for key in ("name", "port"):
                 wrong += _only_once(once, f"line {key}", line.get(key), f"line[{i}].{key}")
             wrong += _group_contradictions(once, line, f"line[{i}]")
-    for key, line, drive in configuration.valid_parts(table):
+    valid = list(configuration.valid_parts(table))
+    for key, line, drive in valid:
         label = f"{key} ({drive.name})"
         wrong += _only_once(once, "drive name", drive.name, f"{label}.name")
         unit = drive.number if drive.unit is None else drive.unit
@@ -195,7 +197,8 @@ def _contradictions(table: Mapping[str, Any], models: Catalogue) -> list[str]:
             continue
         wrong += _unknown_values(label, drive, models[drive.model])
         wrong += _wrong_control(label, drive, models[drive.model])
-    return wrong + list(_unknown_deadbands(table, models))
+    used = [(f"{key} ({d.name})", d, models[d.model]) for key, _, d in valid if d.model in models]
+    return wrong + list(site_publishing.contradictions(table, used))
 
 
 def _wrong_number(label: str, drive: DriveSection) -> Iterator[str]:
@@ -251,20 +254,6 @@ def _wrong_control(label: str, drive: DriveSection, model: Model) -> Iterator[st
             yield f"{label}.{key}: {model.name} has no such parameter in its catalogue"
     if drive.on_loss == "quiesce" and drive.timeout_action in (None, "alarm"):
         yield f'{label}.on_loss: "quiesce" leaves the stop to F804: set timeout_action to "stop" or "coast"'
-
-
-def _unknown_deadbands(table: Mapping[str, Any], models: Catalogue) -> Iterator[str]:
-    """Find names under mqtt.deadband and sparkplug.deadband that no configured drive has."""
-    used = [models[d.model] for _, _, d in configuration.valid_parts(table) if d.model in models]
-    names = {name for model in used for name in [*model.registers, *(d.name for d in model.derived)]}
-    for key in ("mqtt", "sparkplug"):
-        section = table.get(key)
-        bands = section.get("deadband") if isinstance(section, dict) else None
-        for name in bands if isinstance(bands, dict) and used else ():
-            if name not in names:
-                near = difflib.get_close_matches(name, names, 1)
-                hint = f"; did you mean {near[0]!r}?" if near else ""
-                yield f"{key}.deadband: no configured drive has a value {name!r}{hint}"
 
 
 def _only_once(

@@ -75,10 +75,10 @@ def test_the_example_of_everything_names_every_key() -> None:
         config.GatewaySection, config.LogSection, config.MqttSection, config.SparkplugSection, config.TlsSection,
         config.ModbusTcpSection, config.WebSection, config.LineSection, config.DriveSection, config.PollSection,
         config.StoreSection, config.StoredWritesSection, config.FrequencySection, config.RightSection,
-        config.TraceSection,
+        config.TraceSection, config.FilterSection, config.HomeAssistantSection,
     ):
         for key in section.model_fields:
-            assert f"{key} =" in shown or f"[{key}]" in shown or f".{key}]]" in shown or f"[[{key}]]" in shown, key
+            assert any(form in shown for form in (f"{key} =", f"[{key}]", f".{key}]", f"[[{key}]]")), key
 
 
 def test_a_right_configuration_becomes_lines_drives_groups_and_points() -> None:

@@ -21,6 +21,7 @@ COMMENT = re.compile(r"^(    )?#( |$)")
 RUNTIME = "requirements.lock"
 BUILD = "requirements-build.lock"
 DEVELOPMENT = "requirements-dev.lock"
+HOUSE = "tests/home_assistant/requirements.lock"  # of an environment of its own, with another Python
 REMEDY = "run `make lock`"
 
 
@@ -63,6 +64,7 @@ def wanted(project: dict[str, Any], lock: str) -> list[Requirement]:
     lists = {
         RUNTIME: runtime,
         BUILD: groups["build"],
+        HOUSE: groups["home-assistant"],
         DEVELOPMENT: [*runtime, *groups["dev"], *groups["bench"], *groups["build"]],
     }
     return [Requirement(text) for text in lists[lock]]
@@ -102,7 +104,7 @@ def main() -> int:
     if project["build-system"]["requires"] != project["dependency-groups"]["build"]:
         wrong.append("pyproject.toml: build-system.requires and dependency-groups.build differ")
     locks = {}
-    for lock in (RUNTIME, BUILD, DEVELOPMENT):
+    for lock in (RUNTIME, BUILD, DEVELOPMENT, HOUSE):
         locks[lock], strange = read((ROOT / lock).read_text(encoding="utf-8"))
         wrong += [f"{lock}: does not belong here: {line}" for line in strange]
         wrong += problems(lock, locks[lock], wanted(project, lock))

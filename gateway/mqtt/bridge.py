@@ -10,13 +10,16 @@ from collections.abc import Sequence
 
 from gateway.clock import Clock
 from gateway.config import MqttSection
+from gateway.control.command import Result
 from gateway.control.door import Door
 from gateway.image import DriveImage, Image
 from gateway.metrics import MqttStats
-from gateway.mqtt import access, client
+from gateway.mqtt import access, client, outcome
 from gateway.mqtt.backoff import Backoff
 from gateway.mqtt.connection import LEAVE_LIMIT, BrokerAway, Connection, close
-from gateway.mqtt.listener import Listener
+from gateway.mqtt.events import Event, Events, of_result
+from gateway.mqtt.listener import FORGET, Listener
+from gateway.mqtt.message import Message
 from gateway.mqtt.publisher import Publisher
 from gateway.mqtt.reception import Ears
 
@@ -45,11 +48,13 @@ class Bridge:
     ) -> None:
         access.read(section)  # what is missing or wrong now is better known before anything starts
         self._section = section
+        self._gateway = gateway
         self._introduced = client.introduction(section, gateway)
         self._stats = stats
         self._clock = clock
         self._backoff = Backoff(section.reconnect_after, section.reconnect_at_most, chance or random.SystemRandom())
         self._publisher = Publisher(section, gateway, image, stats, door.controls if door is not None else {})
+        self._events = Events(image)
         self._connection: Connection | None = None
         self._in_flight = client.IN_FLIGHT
         self._told = ""
@@ -58,6 +63,7 @@ class Bridge:
         if door is not None and door.controls:
             self._listener = Listener(section, gateway, door, stats, clock)
             door.on_event(self._on_event)
+            door.on_result(self._on_result)
 
     async def run(self) -> None:
         """Connect, publish and connect again until cancelled; whatever else ends it is an error of ours."""
@@ -103,7 +109,7 @@ class Bridge:
 
     def _respect(self, receive_maximum: int) -> None:
         """See that no more is under way than the broker takes; paho wants to know that before it connects."""
-        if self._section.qos and receive_maximum < self._in_flight:
+        if receive_maximum < self._in_flight:
             self._in_flight = receive_maximum
             raise BrokerAway(f"the broker takes {receive_maximum} messages at a time: connecting again by that rule")
 
@@ -114,11 +120,25 @@ class Bridge:
         self._stats.connects += 1
         self._publisher.owe_everything()
         self._connection = connection
-        listener = self._listener
+        listener, discovery, version = self._listener, self._publisher.discovery, self._section.version
+        subscriptions = []
         if listener is not None:
             listener.begin(connection)
-            subscriptions = client.subscriptions(listener.filters, self._section.version)
-            connection.listen(subscriptions, Ears(listener.hear, self._hand_over))
+            subscriptions += client.subscriptions(listener.filters, version)
+        if discovery is not None:
+            subscriptions += client.subscriptions(discovery.filters, version, wants_kept=True)
+        if subscriptions:
+            connection.listen(subscriptions, Ears(self._hear, self._hand_over))
+
+    def _hear(self, message: Message) -> None:
+        """Hand a message to whom it is for."""
+        discovery = self._publisher.discovery
+        if discovery is not None and discovery.takes(message.topic):
+            self._publisher.hear(message, self._clock.now())
+            if self._connection is not None and self._publisher.is_owing:
+                self._connection.wake()
+        elif self._listener is not None:
+            self._listener.hear(message)
 
     def _hand_over(self) -> None:
         """Hand on the first of the commands that came; the rest is the turn of `_serve`."""
@@ -131,6 +151,20 @@ class Bridge:
         if self._connection is not None:
             self._connection.wake()
 
+    def _on_result(self, result: Result) -> None:
+        event = of_result(result)
+        if event is not None:
+            self._tell_events([event])
+
+    def _tell_events(self, events: Sequence[Event]) -> None:
+        """Publish what happened to a drive; where that cannot be now it is counted, and not kept."""
+        for event in events:
+            topic = f"{self._section.base}/{self._gateway}/{event.drive}/{outcome.EVENT}"
+            text = outcome.event(event.kind, event.reason, self._clock.wall(), event.more)
+            connection = self._connection
+            if connection is None or not connection.say(topic, text, expiry=FORGET, is_event=True):
+                self._stats.untold += 1
+
     async def _serve(self, connection: Connection) -> None:
         """Send what is owed, a little at a time, and keep the connection alive until it is lost."""
         tend_at = self._clock.now() + TEND_EVERY
@@ -140,7 +174,8 @@ class Bridge:
             if now >= tend_at:
                 tend_at = now + TEND_EVERY
                 connection.tend()
-                self._publisher.look()
+                self._publisher.look(now)
+                self._tell_events(self._events.look(now))
             are_waiting = self._listener is not None and self._listener.hand_over(HANDED_OVER)
             has_room = connection.room >= enough
             if self._publisher.is_owing and has_room:
@@ -155,11 +190,14 @@ class Bridge:
 
     def _on_change(self, image: DriveImage, names: Sequence[str]) -> None:
         """Publish what is news, before the answer's call chain ends."""
-        connection = self._connection
+        connection, now = self._connection, self._clock.now()
+        events = self._events.notice(image, names, now)
         if connection is None:
+            self._tell_events(events)
             return
         try:
-            self._publisher.tell(connection, image, names, self._clock.now())
+            self._publisher.tell(connection, image, names, now)
+            self._tell_events(events)
             connection.flush()
         except Exception as error:
             connection.fail(error)

@@ -97,10 +97,12 @@ def _make_client(section: BrokerSection, introduced: Introduction, reach: access
     return client, errors
 
 
-def subscriptions(filters: Iterable[str], version: str) -> list[tuple[str, Any]]:
-    """Return what is subscribed; MQTT 5 can ask for no retained messages (SAFETY.md H01)."""
+def subscriptions(filters: Iterable[str], version: str, *, wants_kept: bool = False) -> list[tuple[str, Any]]:
+    """Return what is subscribed; MQTT 5 can ask for no retained messages (SAFETY.md H01), unless they are wanted."""
     options: Any = 1
-    if version == "5":
+    if version == "5" and wants_kept:  # what this client id has published before, it is not sent with noLocal
+        options = SubscribeOptions(qos=1, retainHandling=SubscribeOptions.RETAIN_SEND_ON_SUBSCRIBE)
+    elif version == "5":
         options = SubscribeOptions(qos=1, noLocal=True, retainHandling=SubscribeOptions.RETAIN_DO_NOT_SEND)
     return [(topic, options) for topic in filters]
 

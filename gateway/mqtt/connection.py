@@ -122,6 +122,7 @@ class Connection:
         self._expiries: dict[int, Any] = {FOR_EVER: None}
         self._on_their_way: deque[Any] = deque()
         self._told: deque[Any] = deque()  # those of them that tell what became of commands
+        self._events: deque[Any] = deque()  # those that the broker has to acknowledge, whatever `qos` is
         self._unwritten = 0
         self._is_flushing_soon = False
         self._largest: int | None = None
@@ -264,7 +265,7 @@ class Connection:
         if is_all_written and not self._qos:
             waiting.clear()
             self._told.clear()
-        for sent in (waiting, self._told):
+        for sent in (waiting, self._told, self._events):
             while sent and sent[0].is_published():
                 sent.popleft()
         self._stats.waiting = len(waiting)
@@ -306,25 +307,33 @@ class Connection:
         log.warning("%s: larger than the %d bytes that the broker takes", topic, self._largest)
         return True
 
-    def _publish(self, topic: str, text: str | bytes, retain: bool, properties: Any) -> None:
-        self._on_their_way.append(self._client.publish(topic, text, self._qos, retain, properties))
+    def _publish(
+        self, topic: str, text: str | bytes, retain: bool, properties: Any, qos: int | None = None
+    ) -> None:
+        quality = self._qos if qos is None else qos
+        self._on_their_way.append(self._client.publish(topic, text, quality, retain, properties))
         self._unwritten += 1
         self._stats.published += 1
 
     # What the listener does.
 
-    def say(self, topic: str, text: str, *, expiry: int) -> bool:
+    def say(self, topic: str, text: str, *, expiry: int, is_event: bool = False) -> bool:
         """Hand what happened to paho, and write it; False where too much is on its way."""
-        return self._tell(topic, text, self._expiry(expiry))
+        if not is_event:
+            return self._tell(topic, text, self._expiry(expiry))
+        if len(self._events) >= RESERVE or not self._tell(topic, text, self._expiry(expiry), max(1, self._qos)):
+            return False
+        self._events.append(self._on_their_way[-1])
+        return True
 
     def reply(self, topic: str, text: str, correlation: bytes) -> bool:
         """Hand an answer to paho, and write it; False where too much is on its way."""
         return self._tell(topic, text, self._correlate(correlation))
 
-    def _tell(self, topic: str, text: str, properties: Any) -> bool:
+    def _tell(self, topic: str, text: str, properties: Any, qos: int | None = None) -> bool:
         if self.room <= -RESERVE or self.lost is not None or self._is_too_large(topic, text):
             return False
-        self._publish(topic, text, retain=False, properties=properties)
+        self._publish(topic, text, retain=False, properties=properties, qos=qos)
         self._told.append(self._on_their_way[-1])
         if not self._is_flushing_soon:
             self._is_flushing_soon = True

@@ -25,8 +25,8 @@ FORGET = 60  # seconds after which the broker may forget a result or an event
 class Wire(Protocol):
     """The way back to those who asked; it never waits, and says False where there is no room."""
 
-    def say(self, topic: str, text: str, *, expiry: int) -> bool:
-        """Publish something that happened, not to be retained."""
+    def say(self, topic: str, text: str, *, expiry: int, is_event: bool = False) -> bool:
+        """Publish something that happened, not to be retained; an event is to arrive (QoS 1)."""
         ...
 
     def reply(self, topic: str, text: str, correlation: bytes) -> bool:
@@ -117,11 +117,11 @@ class Listener:
         self._say(f"{result.command.drive}/{outcome.RESULT}", outcome.result(result, self._clock.wall()))
 
     def _on_event(self, drive: str, event: str, reason: str) -> None:
-        self._say(f"{drive}/{outcome.EVENT}", outcome.event(event, reason, self._clock.wall()))
+        self._say(f"{drive}/{outcome.EVENT}", outcome.event(event, reason, self._clock.wall()), is_event=True)
 
-    def _say(self, topic: str, text: str) -> None:
+    def _say(self, topic: str, text: str, *, is_event: bool = False) -> None:
         """Publish what happened, with its time; it is counted, and not kept, where that cannot be now."""
-        if self._wire is None or not self._wire.say(self._root + topic, text, expiry=FORGET):
+        if self._wire is None or not self._wire.say(self._root + topic, text, expiry=FORGET, is_event=is_event):
             self._stats.untold += 1
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 
 from gateway.control.command import Result
 from gateway.control.drive_control import DriveControl
 from gateway.mqtt.payload import timestamp
+from gateway.mqtt.topics import EVENT, RESULT
 
-RESULT, EVENT = "result", "event"  # levels below a drive
+__all__ = ["EVENT", "RESULT", "event", "result", "standing"]
 
 
 def result(outcome: Result, wall: float) -> str:
@@ -30,9 +32,9 @@ def result(outcome: Result, wall: float) -> str:
     )
 
 
-def event(kind: str, reason: str, wall: float) -> str:
-    """Return what is published of an event."""
-    return json.dumps({"event": kind, "reason": reason, "time": timestamp(wall)})
+def event(kind: str, reason: str, wall: float, more: Mapping[str, object] | None = None) -> str:
+    """Return what is published of an event; `more` is what goes with it, as the code of a trip."""
+    return json.dumps({"event": kind, "reason": reason, **(more or {}), "time": timestamp(wall)}, ensure_ascii=False)
 
 
 def standing(control: DriveControl | None) -> str:

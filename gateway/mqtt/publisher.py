@@ -15,6 +15,10 @@ from gateway.control.drive_control import DriveControl
 from gateway.image import DriveImage, Image, Quality, Sample
 from gateway.metrics import MqttStats
 from gateway.mqtt import outcome, payload, topics
+from gateway.mqtt.description import Description
+from gateway.mqtt.discovery import Discovery
+from gateway.mqtt.filters import Policy, policies
+from gateway.mqtt.message import Message
 from gateway.mqtt.report import Report
 
 PER_VALUE = 3  # messages: number, words, quality
@@ -49,23 +53,28 @@ class Outlet:
         self._control = control
         self._stats = stats
         self._topics = topics.of_drive(section.base, gateway, image)
-        self._report = Report(image, section.deadband, section.longest_silence)
+        found = policies(section, image)
+        self._report = Report(image, found)
+        self._description = Description(image, section, gateway)
         self._state = payload.StateWriter(image) if "state" in section.publish else None
         self._has_values = "values" in section.publish
         self._retain = section.retain
-        self._expiry = {name: self._expiry_of(name, section.longest_silence) for name in image.names}
-        self._state_expiry = max(self._expiry.values())
+        self._expiry = {name: self._expiry_of(name, policy) for name, policy in found.items()}
+        self._state_expiry = max(self._expiry.values()) + math.ceil(section.state_interval)
+        self._state_interval = section.state_interval
+        self._state_at = float("-inf")
+        self._is_state_held = False
         self._qualities: dict[str, Quality] = {}
         self._owed: dict[str, None] = {}
         self._owes_state = False
         self._owes_standing = False
         self._said: dict[str, str] = {}  # topic -> what the broker was last told of all but values
 
-    def _expiry_of(self, name: str, longest_silence: float) -> int:
+    def _expiry_of(self, name: str, policy: Policy) -> int:
         """Return when a number is to be forgotten: twice the time in which a value that is read is said again."""
         derived = self.image.derived.get(name)
         max_age = self.image.points[derived.of if derived else name].max_age
-        return math.ceil(2 * (longest_silence + max_age))
+        return math.ceil(2 * (policy.max_interval + max_age))
 
     @property
     def is_owing(self) -> bool:
@@ -97,14 +106,24 @@ class Outlet:
             self._settle_standing(wire)
             self._owes_state |= self._state is not None and self.image.version > 0
             names = [n for n in self.image.names if self._report.has_turned(n, self.image.quality(n, now))]
-        is_news = False
+        is_news = has_turned = False
         for name in names:
             sample = self.image.sample(name, now)
             if self._report.is_due(name, sample, now):
                 is_news = True
+                has_turned |= self._report.has_turned(name, sample.quality)
                 self._tell_value(wire, name, sample, now)
         if is_news and self._state is not None:
-            self._tell_state(self._state, wire, now)
+            if has_turned or now - self._state_at >= self._state_interval:
+                self._tell_state(self._state, wire, now)
+            else:
+                self._is_state_held = True
+
+    def release(self, now: float) -> None:
+        """Owe what had to wait for its turn, when that has come."""
+        self._owed.update(dict.fromkeys(self._report.released(now)))
+        if self._is_state_held and now - self._state_at >= self._state_interval:
+            self._owes_state = True
 
     def _tell_value(self, wire: Wire, name: str, sample: Sample, now: float) -> None:
         if not self._has_values or wire.room >= PER_VALUE:
@@ -115,7 +134,7 @@ class Outlet:
 
     def _tell_state(self, state: payload.StateWriter, wire: Wire, now: float) -> None:
         if wire.room:
-            self._send_state(wire, state.write(now))
+            self._send_state(wire, state.write(now), now)
         else:
             self._owes_state = True
             self._stats.dropped += 1
@@ -128,7 +147,7 @@ class Outlet:
             name = next(iter(self._owed))
             self._send_value(wire, name, self.image.sample(name, now), now)
         elif self._state is not None and self._owes_state:
-            self._send_state(wire, self._state.write(now))
+            self._send_state(wire, self._state.write(now), now)
 
     def _settle_standing(self, wire: Wire) -> None:
         """Say what the broker does not know yet of availability, trip, reset and control, as far as there is room."""
@@ -137,6 +156,7 @@ class Outlet:
             to.tripped: payload.TRUTH[image.is_tripped],
             to.reset_needed: payload.TRUTH[image.is_reset_needed],
             to.control: outcome.standing(self._control),
+            to.description: self._description.write(),
             to.availability: payload.presence(image.link.is_connected),
         }
         for topic, text in standing.items():
@@ -172,8 +192,9 @@ class Outlet:
             self._qualities[name] = quality
             wire.send(self._topics.values[name].quality, payload.WORDS[quality], retain=True, expiry=FOR_EVER)
 
-    def _send_state(self, wire: Wire, text: str) -> None:
-        self._owes_state = False
+    def _send_state(self, wire: Wire, text: str, now: float) -> None:
+        self._owes_state = self._is_state_held = False
+        self._state_at = now
         wire.send(self._topics.state, text, retain=self._retain, expiry=self._state_expiry)
 
     def leave(self, wire: Wire) -> None:
@@ -188,7 +209,7 @@ class Outlet:
         for name in [name for name, quality in self._qualities.items() if quality is Quality.GOOD]:
             self._send_value(wire, name, payload.left_behind(self.image.sample(name, now)), now)
         if self._state is not None:
-            self._send_state(wire, self._state.write(now, is_leaving=True))
+            self._send_state(wire, self._state.write(now, is_leaving=True), now)
 
 
 class Publisher:
@@ -202,6 +223,9 @@ class Publisher:
         stats: MqttStats,
         controls: Mapping[str, DriveControl] | None = None,
     ) -> None:
+        is_discovered = section.home_assistant.enabled
+        self.discovery = Discovery(section, gateway, image) if is_discovered else None
+        self._forgets = not section.retain
         self.status_topic = topics.status(section.base, gateway)
         control = controls or {}
         self._outlets = {
@@ -214,7 +238,8 @@ class Publisher:
     @property
     def is_owing(self) -> bool:
         """Say whether the broker lacks anything."""
-        return bool(self._debtors) or self._owes_birth
+        has_to_tell = self.discovery is not None and self.discovery.is_owing
+        return bool(self._debtors) or self._owes_birth or has_to_tell
 
     def owe_everything(self) -> None:
         """Begin anew after a connect. The birth comes last: "online" vouches for all that was said before."""
@@ -222,12 +247,16 @@ class Publisher:
             outlet.owe_everything()
         self._debtors = dict(self._outlets)
         self._owes_birth = True
+        if self.discovery is not None:
+            self.discovery.owe_everything()
 
     def tell(self, wire: Wire, image: DriveImage, names: Sequence[str], now: float) -> None:
         """Send what is news of a drive; see `Outlet.tell`."""
         name = image.drive.name
         outlet = self._outlets[name]
         outlet.tell(wire, names, now)
+        if not names and self.discovery is not None:
+            self.discovery.notice(image)
         if outlet.is_owing:
             self._debtors[name] = outlet
 
@@ -236,11 +265,16 @@ class Publisher:
         self._outlets[drive].owe_standing()
         self._debtors[drive] = self._outlets[drive]
 
-    def look(self) -> None:
-        """Look whether who may command a drive has changed without a word."""
+    def look(self, now: float) -> None:
+        """Look whether who may command a drive has changed without a word, and what need not wait any longer."""
         for drive, outlet in self._outlets.items():
+            outlet.release(now)
             if outlet.is_control_news:
-                self.owe_standing(drive)
+                outlet.owe_standing()
+            if outlet.is_owing:
+                self._debtors[drive] = outlet
+        if self.discovery is not None and self.discovery.look(now):
+            self._tell_again()
 
     def settle(self, wire: Wire, now: float, steps: int) -> None:
         """Send some of what is owed: at most `steps` values, so that the line need not wait long."""
@@ -248,17 +282,31 @@ class Publisher:
             if wire.room < PER_VALUE:
                 return
             if not self._debtors:
-                self._settle_birth(wire)
+                self._settle_rest(wire)
                 return
             name, outlet = next(iter(self._debtors.items()))
             outlet.settle(wire, now)
             if not outlet.is_owing:
                 del self._debtors[name]
 
-    def _settle_birth(self, wire: Wire) -> None:
+    def _settle_rest(self, wire: Wire) -> None:
+        """Send the birth, or one message for Home Assistant."""
         if self._owes_birth:
             self._owes_birth = False
             wire.send(self.status_topic, payload.ONLINE, retain=True, expiry=FOR_EVER)
+        elif self.discovery is not None and self.discovery.is_owing:
+            topic, text = self.discovery.next()
+            wire.send(topic, text, retain=True, expiry=FOR_EVER)
+
+    def hear(self, message: Message, now: float) -> None:
+        """Take what the broker keeps from before, or that Home Assistant has started."""
+        if self.discovery is not None and self.discovery.hear(message, now):
+            self._tell_again()
+
+    def _tell_again(self) -> None:
+        """Owe the values as well, where the broker keeps none."""
+        if self._forgets:
+            self.owe_everything()
 
     def leave(self, wire: Wire, now: float) -> None:
         """Say that the gateway ends: first what takes the trust from everything, then the rest one by one."""

@@ -70,7 +70,7 @@ class Reception:
         for topic, code in zip(self._asked.pop(mid, ()), codes, strict=False):
             if code.is_failure:
                 why = reasons.of_subscription(code.value, code.getName(), self._table)
-                log.warning("no commands by %s: %s", topic, why)
+                log.warning("nothing is heard by %s: %s", topic, why)
 
     def hand_over(self) -> None:
         """Hand on what was noted, outside of paho's lock."""

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from decimal import Decimal
 
 from gateway.image import DriveImage, Quality, Sample
-from gateway.mqtt.topics import has_text
+from gateway.mqtt.filters import Policy
 
 
 @dataclass(slots=True)
@@ -22,19 +21,16 @@ class _Said:
 class Report:
     """Report by exception for the values of one drive.
 
-    A value is due when it has never been said, when its quality changed, when it moved by more than its
-    deadband, or when it is read `longest_silence` or more after it was said. Bit fields and codes have no deadband.
+    A value is due when it has never been said, when its quality changed, when it moved by more than its deadband and
+    was not said just now, or when it is read long after it was said. What has to wait for its turn is held, and
+    released when its time has come, as it is then.
     """
 
-    def __init__(self, image: DriveImage, deadband: Mapping[str, float], longest_silence: float) -> None:
+    def __init__(self, image: DriveImage, policies: Mapping[str, Policy]) -> None:
         self._image = image
-        self._longest_silence = longest_silence
+        self._policies = policies
         self._said: dict[str, _Said] = {}
-        self._deadband = {
-            name: Decimal(str(band))
-            for name, band in {**deadband, **image.drive.deadband}.items()
-            if name in image.names and not has_text(image, name)
-        }
+        self._held: dict[str, None] = {}
 
     def is_due(self, name: str, sample: Sample, now: float) -> bool:
         """Say whether a reading is to be published."""
@@ -43,7 +39,16 @@ class Report:
             return True
         if sample.quality is not Quality.GOOD:
             return False
-        return now - said.at >= self._longest_silence or self._has_moved(name, said.word, sample.word)
+        policy, since = self._policies[name], now - said.at
+        if policy.is_long_ago(since):
+            return True
+        if not self._has_moved(name, said.word, sample.word):
+            self._held.pop(name, None)
+            return False
+        if policy.is_too_soon(since):
+            self._held[name] = None
+            return False
+        return True
 
     def has_turned(self, name: str, quality: Quality) -> bool:
         """Say whether the quality is another than the one that was published."""
@@ -53,11 +58,18 @@ class Report:
     def _has_moved(self, name: str, said: int, word: int) -> bool:
         if word == said:
             return False
-        band = self._deadband.get(name)
-        if band is None:
+        policy = self._policies[name]
+        if not policy.band and not policy.share:
             return True
-        return abs(self._image.number(name, word) - self._image.number(name, said)) > band
+        return policy.has_moved(self._image.number(name, said), self._image.number(name, word))
+
+    def released(self, now: float) -> list[str]:
+        """Return the values that were held and need not wait any longer; most often none."""
+        if not self._held:
+            return []
+        return [name for name in self._held if not self._policies[name].is_too_soon(now - self._said[name].at)]
 
     def note(self, name: str, sample: Sample, now: float) -> None:
         """Remember a value as published."""
+        self._held.pop(name, None)
         self._said[name] = _Said(sample.word, sample.quality, now)

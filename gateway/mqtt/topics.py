@@ -14,10 +14,12 @@ STATE = "state"
 TRIPPED = "tripped"
 RESET_NEEDED = "reset_needed"
 CONTROL = "control"
+DESCRIPTION = "description"
+EVENT, RESULT = "event", "result"
 
 # Levels below a drive that are no values: what is published besides, and what is taken for control and description.
-PUBLISHED = frozenset({AVAILABILITY, STATE, TRIPPED, RESET_NEEDED, CONTROL})
-RESERVED = PUBLISHED | {"set", "command", "heartbeat", "result", "event", "description"}
+PUBLISHED = frozenset({AVAILABILITY, STATE, TRIPPED, RESET_NEEDED, CONTROL, DESCRIPTION, EVENT})
+RESERVED = PUBLISHED | {"set", "command", "heartbeat", RESULT}
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +39,8 @@ class DriveTopics:
     tripped: str
     reset_needed: str
     control: str
+    description: str
+    event: str
     state: str
     values: Mapping[str, ValueTopics]
 
@@ -64,6 +68,8 @@ def of_drive(base: str, gateway: str, image: DriveImage) -> DriveTopics:
         tripped=f"{root}/{TRIPPED}",
         reset_needed=f"{root}/{RESET_NEEDED}",
         control=f"{root}/{CONTROL}",
+        description=f"{root}/{DESCRIPTION}",
+        event=f"{root}/{EVENT}",
         state=f"{root}/{STATE}",
         values={name: _of_value(f"{root}/{level(name)}", has_text(image, name)) for name in image.names},
     )
@@ -80,6 +86,7 @@ def overview(section: MqttSection, site: Site) -> list[str]:
     for drive in site.drives:
         topics = of_drive(section.base, gateway, DriveImage(drive))
         listed += [topics.availability, topics.tripped, topics.reset_needed, topics.control]
+        listed += [topics.description, topics.event]
         if "state" in section.publish:
             listed.append(topics.state)
         if "values" in section.publish:

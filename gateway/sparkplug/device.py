@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from gateway.control.drive_control import DriveControl
 from gateway.drives.model import Model
 from gateway.image import DriveImage, Quality, Sample
+from gateway.mqtt.filters import unfiltered
 from gateway.mqtt.report import Report
 from gateway.sparkplug import drive_metrics
 from gateway.sparkplug.definition import in_order
@@ -47,8 +48,8 @@ class Device:
         self.is_barred = False  # its birth is larger than the broker takes
         self._image = image
         self._control = control
-        self._deadband = deadband
-        self._report = Report(image, deadband, FOR_EVER)
+        self._policies = unfiltered(deadband, FOR_EVER, image)
+        self._report = Report(image, self._policies)
         self._owes_death = False
         self._owed: dict[str, None] = {}
         self._qualities: dict[str, Quality] = {}
@@ -124,7 +125,7 @@ class Device:
         self.is_born, self._owes_death = True, False
         self._owed.clear()
         self._told.clear()
-        self._report = Report(self._image, self._deadband, FOR_EVER)
+        self._report = Report(self._image, self._policies)
         self._qualities.clear()
         self._look(moment.ms)
         return in_order(self._all(moment))

@@ -432,7 +432,7 @@ async def test_a_broker_that_lets_nobody_command_is_told_of(is_5: bool, code: in
             PlayedBroker(is_5=is_5, code=code) as broker,
             commanded(broker.port, version="5" if is_5 else "3.1.1"),
         ):
-            await log.until_said(f"no commands by {ROOT}/+/command")
+            await log.until_said(f"nothing is heard by {ROOT}/+/command")
             await log.until_said("let this user subscribe below mqtt.base")
 
 

@@ -39,7 +39,7 @@ class Stage:
     beats: int = 0
     _news: asyncio.Event = field(default_factory=asyncio.Event)
 
-    def say(self, topic: str, text: str, *, expiry: int) -> bool:
+    def say(self, topic: str, text: str, *, expiry: int, is_event: bool = False) -> bool:
         """Keep what the gateway says."""
         kept = self.results if topic.endswith("/result") else self.events
         kept.append(json.loads(text))

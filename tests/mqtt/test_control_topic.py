@@ -79,10 +79,10 @@ def test_an_owner_is_told_and_so_is_the_end_of_his_lease() -> None:
 def test_a_change_without_a_word_is_found() -> None:
     """By looking from time to time."""
     told = Told()
-    told.publisher.look()
+    told.publisher.look(0.0)
     assert not told.publisher.is_owing
     told.door.controls[LEASED].lease.take(HMI, told.clock.now())
-    told.publisher.look()
+    told.publisher.look(0.0)
     told.settle()
     assert told.control(LEASED)["owner"] == "mqtt hmi"
 

@@ -8,11 +8,14 @@ from pathlib import Path
 
 import pytest
 
+from gateway.config import MqttSection
 from gateway.control.command import Channel, Command, Result, Source, Status, Verb
 from gateway.control.state import Standing
-from gateway.mqtt import commands, inbox, intake, outcome
+from gateway.mqtt import commands, events, inbox, intake, outcome
+from gateway.mqtt.description import Description
 from gateway.mqtt.message import Message, Moment
 from tests.mqtt.doors import LEASED, READ_ONLY, KeptDoor, StandingClock, nc3
+from tests.mqtt.test_discovery import image
 
 PAGE = (Path(__file__).parents[2] / "docs" / "mqtt.md").read_text(encoding="utf-8")
 COMMANDS = [text for text in re.findall(r"^\| `(\{.*?\})` \|", PAGE, re.MULTILINE) if text.startswith('{"command"')]
@@ -82,10 +85,31 @@ def test_results_events_and_control_have_the_documented_keys() -> None:
         json.loads(outcome.event("disarmed", "", clock.wall())),
         json.loads(outcome.standing(door.controls[LEASED])),
     ]
-    shown = [block for block in BLOCKS if "output_frequency" not in block]
+    trip = json.loads(outcome.event("trip", "", clock.wall(), {"code": 1}))
+    assert [list(trip)] == [list(block) for block in BLOCKS if "code" in block]
+    shown = [block for block in BLOCKS if not {"output_frequency", "form", "code"} & block.keys()]
     assert [list(block) for block in shown] == [list(each) for each in made]
     assert list(json.loads(outcome.standing(door.controls.get(READ_ONLY)))) == list(made[2])
     assert all(f"`{standing.value}`" in PAGE for standing in Standing)
+
+
+def test_every_event_is_documented_and_no_other() -> None:
+    """By name, in the table."""
+    table = PAGE[PAGE.index("| event | |") :].split("\n\n", 1)[0]
+    named = re.findall(r"`([a-z_]+)`", "".join(row.split("|")[1] for row in table.splitlines()))
+    assert sorted(named) == sorted(events.KINDS)
+
+
+def test_the_documented_description_is_one() -> None:
+    """With the keys that it has, and no other."""
+    shown = next(block for block in BLOCKS if "form" in block)
+    drive = {"control": "leased", "sources": ["mqtt"], "communication_timeout": "1.5s", "timeout_action": "stop"}
+    section = MqttSection.model_validate({"url": "mqtt://localhost"})
+    made = json.loads(Description(image(drive).drives[0], section, "hall-3").write())
+    assert list(shown) == list(made)
+    assert shown["control"].keys() == made["control"].keys()
+    assert shown["values"]["output_frequency"].keys() == made["values"]["output_frequency"].keys()
+    assert set(shown["control"]["commands"]) <= set(made["control"]["commands"])
 
 
 def test_the_documented_numbers_are_those_of_the_code() -> None:

@@ -31,7 +31,7 @@ class Back:
     said: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
     replies: list[tuple[str, dict[str, Any], bytes]] = field(default_factory=list)
 
-    def say(self, topic: str, text: str, *, expiry: int) -> bool:
+    def say(self, topic: str, text: str, *, expiry: int, is_event: bool = False) -> bool:
         """Keep what happened."""
         assert expiry > 0
         self.room -= 1

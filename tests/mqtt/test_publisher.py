@@ -109,6 +109,7 @@ def test_a_connect_brings_everything_and_the_birth_last() -> None:
     made.connect()
     assert made.broker.heard[-1] == (STATUS, "online")
     state = made.broker.retained.pop(f"{ROOT}/state")
+    assert json.loads(made.broker.retained.pop(f"{ROOT}/description"))["drive"] == "pump-1"
     assert made.broker.retained == expected(made.pump, 0.0) | {STATUS: "online"}
     assert json.loads(state)["quality"] == "good"
 
@@ -157,7 +158,7 @@ def test_values_alone_and_the_state_alone() -> None:
         made.read(**EVERY)
         made.connect()
     assert f"{ROOT}/state" not in values.broker.retained
-    drive = {f"{ROOT}/{name}" for name in ("availability", "reset_needed", "control", "state")}
+    drive = {f"{ROOT}/{name}" for name in ("availability", "reset_needed", "control", "description", "state")}
     assert set(state.broker.retained) == {STATUS, *drive}
 
 
@@ -346,6 +347,44 @@ def test_what_a_broker_retains_always_comes_to_be_the_image(story: list[tuple[st
     made.image.sweep(made.now)
     made.settle()
     state = json.loads(made.broker.retained.pop(f"{ROOT}/state"), parse_float=Decimal, parse_int=Decimal)
+    assert made.broker.retained.pop(f"{ROOT}/description")
     assert made.broker.retained == expected(made.pump, made.now) | {STATUS: "online"}
     fresh = json.loads(payload.StateWriter(made.pump).write(made.now), parse_float=Decimal, parse_int=Decimal)
     assert {**state, "time": None} == {**fresh, "time": None}
+
+
+def test_a_held_value_is_owed_when_its_time_has_come() -> None:
+    """Though it is not read again."""
+    made = Published(filter=[{"values": ["output_frequency"], "min_interval": "500ms"}], publish=["values"])
+    made.connect()
+    made.read(**EVERY)
+    made.now = 0.1
+    made.read(output_frequency=6000)
+    made.publisher.look(0.4)
+    assert not made.publisher.is_owing
+    assert made.broker.newest[f"{ROOT}/output_frequency"] == "0.00"
+    made.now = 0.5
+    made.publisher.look(0.5)
+    made.settle()
+    assert made.broker.newest[f"{ROOT}/output_frequency"] == "60.00"
+
+
+def test_states_are_no_more_frequent_than_asked() -> None:
+    """The last one comes when its time has come; a quality that changes is never kept waiting."""
+    made = Published(publish=["state"], state_interval="1s")
+    made.connect()
+    made.read(**EVERY)
+    made.broker.topics()
+    for step in range(1, 10):
+        made.now = step / 10
+        made.read(output_frequency=6000 + step)
+    assert made.broker.topics() == []
+    made.publisher.look(1.0)
+    made.now = 1.0
+    made.settle()
+    assert made.broker.topics() == [f"{ROOT}/state"]
+    assert json.loads(made.broker.retained[f"{ROOT}/state"])["output_frequency"] == 60.09
+    made.now = 1.1
+    made.pump.set_link(LinkState.OFFLINE)
+    made.settle()
+    assert f"{ROOT}/state" in made.broker.topics()

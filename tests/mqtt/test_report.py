@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from decimal import Decimal
+from itertools import pairwise
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.config import MqttSection
 from gateway.image import DriveImage, LinkState, Quality
+from gateway.mqtt.filters import policies
 from gateway.mqtt.report import Report
 from tests.mqtt import drives
 
@@ -22,9 +25,12 @@ class Reported:
         deadband: Mapping[str, float] | None = None,
         of_drive: Mapping[str, float] | None = None,
         silence: float = 60.0,
+        filters: Sequence[Mapping[str, object]] = (),
     ) -> None:
         self.image: DriveImage = drives.image(drives.drive(deadband=of_drive)).drives[0]
-        self.report = Report(self.image, deadband or {}, silence)
+        table = {"url": "mqtt://localhost", "deadband": deadband or {}, "filter": list(filters)}
+        section = MqttSection.model_validate(table).model_copy(update={"longest_silence": silence})
+        self.report = Report(self.image, policies(section, self.image))
         self.said: dict[str, int] = {}
 
     def read(self, now: float, **words: int) -> set[str]:
@@ -158,3 +164,89 @@ def test_an_unchanged_value_is_said_again_after_the_longest_silence(period: floa
             said_at = now
         else:
             assert now - said_at < silence
+
+
+def test_a_value_is_not_said_more_often_than_its_least_interval() -> None:
+    """And when the time has come, as it is then."""
+    drive = Reported(filters=[{"values": ["output_*"], "min_interval": "1s"}])
+    drive.read(0.0, output_frequency=6000, torque=1)
+    assert drive.read(0.4, output_frequency=6100, torque=2) == {"torque"}
+    assert drive.read(0.8, output_frequency=6200) == set()
+    assert drive.report.released(0.9) == []
+    assert drive.report.released(1.0) == ["output_frequency"]
+    assert drive.read(1.0, output_frequency=6300) == {"output_frequency"}
+    assert drive.report.released(9.0) == []
+
+
+def test_what_came_back_before_its_turn_is_not_said() -> None:
+    """A subscriber knows it already."""
+    drive = Reported(filters=[{"min_interval": "1s"}])
+    drive.read(0.0, output_frequency=6000)
+    drive.read(0.4, output_frequency=6100)
+    drive.read(0.8, output_frequency=6000)
+    assert drive.report.released(2.0) == []
+
+
+@pytest.mark.hazard("H19")
+def test_no_interval_delays_a_value_that_is_no_longer_good() -> None:
+    """Nor one that is good again."""
+    drive = Reported(filters=[{"min_interval": "30s", "deadband": 50.0}])
+    drive.read(0.0, output_frequency=6000)
+    drive.image.set_link(LinkState.OFFLINE)
+    assert drive.offer(0.1, "output_frequency") == {"output_frequency"}
+    drive.image.set_link(LinkState.ONLINE)
+    assert drive.read(0.2, output_frequency=6000) == {"output_frequency"}
+
+
+def test_a_reading_at_the_rate_of_the_interval_is_not_halved() -> None:
+    """However much it jitters."""
+    drive = Reported(filters=[{"min_interval": "1s"}])
+    times = [float(n) - (0.02 if n % 2 else 0.0) for n in range(20)]
+    assert all(drive.read(now, output_frequency=n) for n, now in enumerate(times))
+
+
+def test_a_deadband_in_per_cent_goes_with_the_value() -> None:
+    """Of what was said last; near zero the absolute one counts."""
+    drive = Reported(filters=[{"deadband_percent": 10.0, "deadband": 0.5}])
+    drive.read(0.0, output_frequency=5000)
+    assert not drive.read(0.1, output_frequency=5500)
+    assert drive.read(0.2, output_frequency=5501)
+    drive.read(0.3, output_frequency=0)
+    assert not drive.read(0.4, output_frequency=50)
+    assert drive.read(0.5, output_frequency=51)
+
+
+def test_a_value_within_its_deadband_is_repeated_in_time() -> None:
+    """The last filter that speaks of it holds, key by key."""
+    filters: list[dict[str, object]] = [
+        {"deadband": 5.0, "max_interval": "10s"},
+        {"values": ["output_frequency"], "max_interval": "2s"},
+    ]
+    drive = Reported(filters=filters)
+    drive.read(0.0, output_frequency=6000, torque=0)
+    assert not drive.read(1.9, output_frequency=6001, torque=1)
+    assert drive.read(2.0, output_frequency=6001, torque=1) == {"output_frequency"}
+    assert drive.read(10.0, torque=1) == {"torque"}
+
+
+def test_a_filter_for_other_drives_says_nothing_of_this_one() -> None:
+    """By the drive's name."""
+    drive = Reported(filters=[{"drives": ["fan-*"], "min_interval": "1h"}])
+    drive.read(0.0, output_frequency=6000)
+    assert drive.read(0.1, output_frequency=6001)
+
+
+@given(words=words, interval=st.floats(0.1, 5.0), period=st.floats(0.01, 2.0))
+def test_the_last_word_is_said_in_the_end_and_never_too_often(
+    words: list[int], interval: float, period: float
+) -> None:
+    """Whatever the readings: a subscriber ends up with what was read last."""
+    drive = Reported(filters=[{"min_interval": f"{interval:.3f}s", "max_interval": "24h"}])
+    times = []
+    for step, word in enumerate(words):
+        if drive.read(step * period, torque=word):
+            times.append(step * period)
+    assert all(later - sooner >= 0.9 * interval for sooner, later in pairwise(times))
+    for name in drive.report.released(len(words) * period + interval):
+        drive.said[name] = drive.image.sample(name, 0.0).word
+    assert drive.said["torque"] == words[-1]

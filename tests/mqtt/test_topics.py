@@ -69,8 +69,9 @@ def test_no_two_things_share_a_topic() -> None:
 
 def test_the_overview_lists_what_is_published() -> None:
     """Both forms by default, one by choice."""
-    standing = [f"{ROOT}/{name}" for name in ("availability", "tripped", "reset_needed", "control", "state")]
-    assert overview()[:6] == ["tosvert/hall-3/status", *standing]
+    levels = ("availability", "tripped", "reset_needed", "control", "description", "event", "state")
+    standing = [f"{ROOT}/{name}" for name in levels]
+    assert overview()[:8] == ["tosvert/hall-3/status", *standing]
     assert f"{ROOT}/status_text" in overview()
     assert overview(publish=["state"]) == ["tosvert/hall-3/status", *standing]
     assert f"{ROOT}/state" not in overview(publish=["values"])
