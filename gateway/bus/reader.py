@@ -155,18 +155,26 @@ class DriveReader:
             self._proof.candidates = [self.able.mapping]
         self.is_set_up = False
         self._control.end("the drive was lost")
-        self._silent_blocks = 0
         self._pending = None
         self._who = self._who.afresh()
+        self._forget_refusals()
+        self._audit = None
+
+    def _forget_refusals(self) -> None:
+        """Try again whatever was refused, or not answered: a reset, or a parameter, may have changed that."""
         self.able = Abilities()
         self.absent.clear()
         self._refusals.clear()
-        self._audit = None
+        self._silent_blocks = self._busy_blocks = 0
+        self._no_text = ()
 
     # ---- how it is set
 
     def _set_up(self, now: float) -> Learnt:
-        """Read, one after another, what must be known before polling: identity codes, selectors, bases."""
+        """Read, one after another, what must be known before polling: identity codes, selectors, bases.
+
+        It comes after a reset, another identity, or a change of the settings: what was refused before is tried again.
+        """
         self.is_set_up = False
         self._control.end("the drive is set up anew")
         model = self.drive.model
@@ -175,7 +183,7 @@ class DriveReader:
         wanted += [model.registers[name] for name in names if name in model.registers]
         wanted += [*self._selector_registers(), *self.drive.bases, *self._who.signs]
         self._proof.propose(self.able.mapping, first=True)
-        self.able = replace(self.able, mapping=None)
+        self._forget_refusals()
         self._missing = list({register.name: register for register in wanted}.values())
         self.facts.clear()
         return self._next_fact(now)
