@@ -25,7 +25,7 @@ def reader() -> DriveReader:
     table = {"gateway": {"name": "g"}, "line": [{"name": "a", "port": "/dev/none", "drive": [section]}]}
     (line,) = site.build(table, "test", Path()).lines
     (drive,) = line.drives
-    made = DriveReader(drive, Planner(1, drive.model, drive.codec, line.timing, 0.015), 0.0)
+    made = DriveReader(drive, Planner(1, drive.model, drive.codec, line.timing, 0.015))
     made.able = Abilities(mapping=tuple(drive.model.registers[name] for name in FIVE))
     made.facts = {"reset_detection": 1, "block_mode": 0}
     made.is_set_up = True
