@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gateway.bus import selectors
 from gateway.bus.blocks import Abilities
 from gateway.bus.plan import plan_drive
 from gateway.bus.reader import DriveReader
@@ -120,3 +121,19 @@ def test_polls_as_fast_as_possible_take_turns(drives: int, beside: int) -> None:
             last[found.job.drive] = now
     rounds = drives * COST / (1 - beside * COST)
     assert longest <= rounds + (beside + 1) * COST
+
+
+@pytest.mark.parametrize("drives", [1, 3, 8, 31])
+def test_the_checks_of_all_drives_keep_to_their_share(drives: int) -> None:
+    """Motors that stand still are checked every 2 s, but together by no more than a twentieth of the line."""
+    (line,) = built([{"values": NAMES[:5], "every": "10s"}], drives).lines
+    plans = [plan_drive(drive, line, with_selectors=True) for drive in line.drives]
+    shares = []
+    for plan in plans:
+        (check,) = (job for job in plan.jobs if job.work.task is Task.AUDIT)
+        every = check.deadline - check.due
+        assert every >= selectors.UNPROVEN_EVERY
+        shares.append(plan.planner.cost(check.work.request) / every)
+    assert sum(shares) <= selectors.AUDIT_SHARE + 1e-9
+    if drives < 4:
+        assert every == pytest.approx(selectors.UNPROVEN_EVERY, rel=0.05)
