@@ -360,7 +360,7 @@ class LineWorker:
         except Refused as refused:
             self._refused(station, job, request, refused, started)
         else:
-            if job.period is not None and job.work.task is Task.POLL:
+            if job.work.task is Task.POLL and job.period is not None and job.period in station.stats.responses:
                 station.stats.responses[job.period].observe(answered.done - asked_since)
             self._answered(station, job, answered)
 
