@@ -186,7 +186,7 @@ def drive_of(draw: st.DrawFn) -> tuple[site.Drive, DriveReader]:
     return drive, DriveReader(drive, plan)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_every_asked_register_is_read_as_often_as_promised_in_every_protocol(data: st.DataObject) -> None:
     """By one read of its fastest group or a faster one, by none besides but a block that carries it anyway."""
