@@ -112,7 +112,10 @@ class Traffic:
         """Return how long a poll may wait even on an overfull line: past its deadline, each other goes first once."""
         everything = sum(one.total for one in self._all)
         blocking = max(one.longest for one in self._all)
-        return _fixed(lambda time: deadline + everything + blocking + self._ahead_within(time, waiting=1))
+        ahead = sum(stream.cost / stream.period for stream in self.ahead)
+        if ahead >= 1:
+            return float("inf")
+        return (deadline + everything + blocking + 2 * sum(stream.cost for stream in self.ahead)) / (1 - ahead)
 
     def _turns_taken(self, rest: _Class) -> float:
         """Return how long all that has a period, and one round of the others, can keep a poll without one waiting."""

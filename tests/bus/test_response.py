@@ -47,6 +47,15 @@ def test_a_line_at_its_limit_is_kept_and_beyond_it_is_late() -> None:
     assert overfull.worst[0.3] == pytest.approx(0.3 + 11 * 0.03 + 0.03)
 
 
+def test_a_poll_once_a_day_has_its_turn_on_an_overfull_line() -> None:
+    """Past its deadline, each other one goes first once; a line that commands alone fill carries no polls."""
+    overfull = [Stream(0.03, 0.03), Stream(86_400.0, 0.03)]
+    assert Traffic(overfull).worst[86_400.0] == pytest.approx(86_400 + 0.03 + 0.03 + 0.03)
+    assert Traffic(overfull, [Stream(0.1, 0.1)]).worst[86_400.0] == float("inf")
+    fitting = Traffic([Stream(0.1, 0.03), Stream(86_400.0, 0.03)])
+    assert fitting.worst[86_400.0] == pytest.approx(0.06)
+
+
 def test_polls_without_a_period_are_promised_what_the_others_leave() -> None:
     """Half the line by timed polls: a round of 60 ms in 60 / (0.8 * 0.5); never less than a tenth of the line."""
     half = Traffic([Stream(0.1, 0.05), Stream(0.0, 0.02), Stream(0.0, 0.04)])
