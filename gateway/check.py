@@ -3,52 +3,23 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from math import isfinite
 from pathlib import Path
 
 from gateway import check_control, site
-from gateway.bus import groups, refresh, selectors
-from gateway.bus.blocks import Abilities, PlannedRead, Planner
-from gateway.bus.reader import DriveReader
+from gateway.bus import fitting, groups, refresh, traffic
+from gateway.bus.blocks import PlannedRead
+from gateway.bus.plan import DrivePlan, plan_drive
+from gateway.bus.response import Traffic
 from gateway.errors import BadConfig
 from gateway.protocol.pdu import ReadBlock
 from gateway.protocol.registry import PROTOCOLS
-from gateway.site import Drive, Line, PollGroup, Site
+from gateway.site import Line, Site
 
 log = logging.getLogger("gateway")
 
 FULL = 1.0  # share of the line
-
-
-@dataclass(frozen=True, slots=True)
-class DrivePlan:
-    """How one drive is read: its groups with their reads, and the selectors that this supposes."""
-
-    drive: Drive
-    planner: Planner
-    selectors: tuple[int, ...]
-    groups: Sequence[tuple[PollGroup, tuple[PlannedRead, ...]]]
-
-    @property
-    def load(self) -> float:
-        """Return the share of the line that the timed groups take."""
-        return sum(self.planner.time(reads) / group.period for group, reads in self.groups if group.period)
-
-    @property
-    def round(self) -> float:
-        """Return how many seconds of wire one round of the groups without a period takes."""
-        return sum(self.planner.time(reads) for group, reads in self.groups if not group.period)
-
-
-def plan_drive(drive: Drive, line: Line, *, with_selectors: bool) -> DrivePlan:
-    """Plan a drive as it is shipped (no selectors set), or with the best selectors set."""
-    processing = drive.model.times.processing + drive.wait_time
-    planner = Planner(drive.number, drive.model, drive.codec, line.timing, processing)
-    reader = DriveReader(drive, planner, 0.0)
-    codes = selectors.best(drive) if with_selectors and planner.has_block else ()
-    reader.able = Abilities(mapping=selectors.mapping_of(drive.model, codes))
-    return DrivePlan(drive, planner, codes, reader.plan())
 
 
 def load(path: Path) -> Site:
@@ -89,11 +60,13 @@ def _line(line: Line) -> Iterator[str]:
     yield f"line {line.name}: {line.port}, {line.baud} baud, parity {line.parity}, {len(line.drives)} drives"
     yield f"  gap between frames {line.timing.gap * 1000:.2f} ms; an answer may come {line.margin * 1000:.0f} ms late"
     yield f"  load with F875-F879 as below: {_load(best)};  as shipped (all 0): {_load(shipped)}"
-    yield from _advice(shipped, best)
+    undisturbed = traffic.undisturbed(line, best)
+    yield from _advice(line, shipped, best, undisturbed)
     yield from check_control.line(line)
     worst = refresh.worst_case(line)
+    disturbed = traffic.disturbed(line, best).worst
     for plan in best:
-        yield from _drive(plan)
+        yield from _drive(plan, undisturbed, disturbed)
         yield from check_control.drive(plan.drive, worst)
     for group in line.groups:
         members = [drive for drive in line.drives if drive.name in group.drives]
@@ -113,7 +86,9 @@ def _load(plans: Sequence[DrivePlan]) -> str:
     return f"{text}, the rest by polls without a period, each every {turn / (FULL - load) * 1000:.0f} ms"
 
 
-def _advice(shipped: Sequence[DrivePlan], best: Sequence[DrivePlan]) -> Iterator[str]:
+def _advice(
+    line: Line, shipped: Sequence[DrivePlan], best: Sequence[DrivePlan], undisturbed: Traffic
+) -> Iterator[str]:
     load = sum(plan.load for plan in best)
     if load > FULL:
         yield (
@@ -122,15 +97,26 @@ def _advice(shipped: Sequence[DrivePlan], best: Sequence[DrivePlan]) -> Iterator
         )
     elif sum(plan.load for plan in shipped) > FULL:
         yield "  FITS ONLY with F875-F879 set as below (and the drives reset afterwards)."
+    if undisturbed.is_kept:
+        yield "  Every poll is answered before it falls due again, whatever falls together, while all drives answer."
+        return
+    if load <= FULL:
+        late = ", ".join(_period(period) for period in undisturbed.late)
+        yield f"  LATE AT TIMES: polls {late}, when much falls together: how late, see below."
+    ways = "; or ".join(fitting.ways(line, best, undisturbed))
+    yield f"  In time whatever falls together: {ways}." if ways else "  No period is long enough: ask for less."
 
 
-def _drive(plan: DrivePlan) -> Iterator[str]:
+def _period(period: float) -> str:
+    return f"every {period * 1000:.0f} ms" if period else "as fast as possible"
+
+
+def _drive(plan: DrivePlan, undisturbed: Traffic, disturbed: Mapping[float, float]) -> Iterator[str]:
     drive = plan.drive
     unit = f"unit {drive.unit}" if drive.unit else "no unit of its own"
     yield f"  drive {drive.name}: number {drive.number}, {drive.model.name}, {drive.protocol}, {unit}"
-    uses_block = any(isinstance(read.request, ReadBlock) for _, reads in plan.groups for read in reads)
     yield from _forms(plan)
-    if uses_block:
+    if plan.uses_block:
         pairs = ", ".join(f"F{875 + i}={code}" for i, code in enumerate(plan.selectors))
         who = "set in the drive, then reset it"
         if drive.provision:
@@ -140,11 +126,32 @@ def _drive(plan: DrivePlan) -> Iterator[str]:
         period = f"{group.period * 1000:.0f} ms" if group.period else "as fast as possible"
         took = plan.planner.time(reads) * 1000
         yield f"    every {period}: {len(reads)} exchanges, {took:.1f} ms; stale after {group.max_age:.3g} s"
+        if reads:
+            yield f"      {_response(group.period, undisturbed, disturbed[group.period])}"
         for read in reads:
             yield f"      {_read(read)}"
         missing = {r.name for r in group.registers} - {r.name for read in reads for r in read.registers}
         if missing:
             yield f"      {', '.join(sorted(missing))}: come with a faster block"
+
+
+def _response(period: float, undisturbed: Traffic, disturbed: float) -> str:
+    """Say what period is reached, and how late an answer is at the worst."""
+    worst = undisturbed.worst[period]
+    reached = period * max(1.0, undisturbed.load) if period else undisturbed.fastest
+    about = "" if period and undisturbed.load <= FULL else "about "
+    return (
+        f"asked {_asked(period)}, reachable {about}{_seconds(reached)}; answered {_seconds(worst)} after its time at"
+        f" the worst, {_seconds(disturbed)} where exchanges are lost"
+    )
+
+
+def _asked(period: float) -> str:
+    return _seconds(period) if period else "as fast as possible"
+
+
+def _seconds(seconds: float) -> str:
+    return f"{seconds * 1000:.0f} ms" if seconds < 10 else f"{seconds:.0f} s" if isfinite(seconds) else "any time"
 
 
 def _forms(plan: DrivePlan) -> Iterator[str]:

@@ -81,6 +81,30 @@ class AnswerTimes(Histogram):
 
 
 @dataclass(slots=True)
+class Responses:
+    """How long after its time the polls of a group were answered at the worst, in seconds, against what was reckoned.
+
+    `predicted` holds while every drive answers, `disturbed` while exchanges are lost now and then. `late` counts
+    answers later than `predicted`, `very_late` those later than `disturbed`.
+    """
+
+    predicted: float
+    disturbed: float
+    worst: float = 0.0
+    late: int = 0
+    very_late: int = 0
+
+    def observe(self, seconds: float) -> None:
+        """Take one response."""
+        if seconds > self.worst:
+            self.worst = seconds
+        if seconds > self.predicted:
+            self.late += 1
+            if seconds > self.disturbed:
+                self.very_late += 1
+
+
+@dataclass(slots=True)
 class LineStats:
     """One RS485 line. `busy` sums the seconds in which the wire and the drives were necessarily busy.
 
@@ -107,6 +131,7 @@ class DriveStats:
     `communication_timeout` is F803 in seconds, 0 where it is off or not known; `least_margin` is how close the gaps
     between two answers came to it, inf before the first. `commands` counts results by status and reason, `events`
     what happened to permission; `standing` says whether it may be set in motion, "" where nobody may command it.
+    `responses` are those of its polls, by their period in seconds, 0 as fast as possible.
     """
 
     exchanges: int = 0
@@ -122,6 +147,7 @@ class DriveStats:
     commands: Counter[tuple[str, str]] = field(default_factory=Counter)
     events: Counter[str] = field(default_factory=Counter)
     standing: str = ""
+    responses: dict[float, Responses] = field(default_factory=dict)
 
 
 @dataclass(slots=True)

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from gateway import check, site
+from gateway.bus.plan import plan_drive
 from gateway.errors import BadConfig
 from tests.test_end_to_end import LIMIT, gateway, until
 
@@ -37,7 +38,7 @@ def test_the_selectors_to_set_are_said_and_used() -> None:
 def test_the_load_is_the_wire_time_over_the_period() -> None:
     """Five words at 19200 baud: 8 and 15 characters, two gaps, 15 ms in the drive at the most: 33 ms in 100."""
     configured = built([{"values": FIVE, "every": "100ms"}])
-    plan = check.plan_drive(configured.drives[0], configured.lines[0], with_selectors=True)
+    plan = plan_drive(configured.drives[0], configured.lines[0], with_selectors=True)
     assert plan.load == pytest.approx((8 * 11 + 15 * 12 + 2 * 3.5 * 11) / 19200 / 0.1 + 0.15)
 
 
@@ -46,6 +47,42 @@ def test_what_does_not_fit_is_said_with_a_remedy() -> None:
     said = text(built([{"values": FIVE, "every": "100ms"}], drives=8, baud=9600))
     assert "DOES NOT FIT" in said
     assert "38400" in said
+
+
+def test_what_to_change_is_said_and_is_enough() -> None:
+    """The period, or the baud rate, that is named: with it every poll is in time."""
+    said = text(built([{"values": FIVE, "every": "250ms"}], drives=8))
+    assert "DOES NOT FIT" in said
+    assert "In time whatever falls together: poll every 330 ms instead of every 250 ms (8 drives); or raise" in said
+    assert "raise F800 and line.baud to 38400." in said
+    for every, baud in (("330ms", 19200), ("250ms", 38400)):
+        enough = built([{"values": FIVE, "every": every}], drives=8, baud=baud)
+        assert "Every poll is answered before it falls due again" in text(enough)
+
+
+def test_each_group_says_what_is_asked_what_is_reached_and_how_late_it_may_be() -> None:
+    """One that fits, one that is asked too often, one without a period."""
+    said = text(built([{"values": FIVE, "every": "200ms"}]))
+    assert "asked 200 ms, reachable 200 ms; answered 68 ms after its time at the worst, " in said
+    said = text(built([{"values": FIVE, "every": "100ms"}], drives=8))
+    assert "asked 100 ms, reachable about 278 ms; answered " in said
+    said = text(built([{"values": FIVE, "every": "0s"}], drives=8))
+    assert "asked as fast as possible, reachable about 290 ms; answered " in said
+
+
+def test_a_load_that_fits_may_be_late_at_times() -> None:
+    """Two drives every 100 ms: 66 of 100 ms, and a check of the block beside it."""
+    said = text(built([{"values": FIVE, "every": "100ms"}], drives=2))
+    assert "DOES NOT FIT" not in said
+    assert "LATE AT TIMES: polls every 100 ms, when much falls together: how late, see below." in said
+    assert "poll every 110 ms instead of every 100 ms (d1, d2)" in said
+
+
+def test_where_no_period_of_one_group_is_enough_all_are_stretched() -> None:
+    """Two groups of which each fills the line by itself."""
+    polls = [{"values": FIVE, "every": "100ms"}, {"values": ["trip_code", "pid_feedback"], "every": "120ms"}]
+    said = text(built(polls, drives=8, baud=9600))
+    assert "make every period 12 times as long (100 ms to 1200 ms, 120 ms to 1500 ms)" in said
 
 
 def test_what_fits_only_by_the_block_is_said() -> None:
@@ -63,7 +100,7 @@ def test_polls_without_a_period_get_the_rest_and_their_period_is_said() -> None:
 def test_a_value_that_a_faster_block_brings_is_not_read_twice() -> None:
     """The slow group's status comes with the fast one."""
     configured = built([{"values": FIVE, "every": "100ms"}, {"values": ["status", "trip_code"], "every": "5s"}])
-    plan = check.plan_drive(configured.drives[0], configured.lines[0], with_selectors=True)
+    plan = plan_drive(configured.drives[0], configured.lines[0], with_selectors=True)
     (_, slow) = plan.groups
     assert [r.name for read in slow[1] for r in read.registers] == ["trip_code"]
     assert "status: come with a faster block" in text(configured)

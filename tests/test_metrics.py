@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.metrics import ANSWER_BOUNDS, GAP_BOUNDS, LATEST, AnswerTimes, Histogram, LineStats, Stats
+from gateway.metrics import ANSWER_BOUNDS, GAP_BOUNDS, LATEST, AnswerTimes, Histogram, LineStats, Responses, Stats
 
 
 def test_an_observation_is_counted_under_the_first_bound_that_holds_it() -> None:
@@ -86,3 +86,11 @@ def test_a_quantile_of_answer_times_has_its_share_of_the_latest_below_it(values:
         assert seconds in window
         assert sum(value <= seconds for value in window) >= share * len(window)
         assert sum(value < seconds for value in window) < share * len(window) + 1
+
+
+def test_a_response_is_held_against_both_predictions() -> None:
+    """The worst stays; later than the first counts, later than the second counts twice."""
+    responses = Responses(predicted=0.1, disturbed=0.5)
+    for seconds in (0.05, 0.1, 0.3, 0.6, 0.2):
+        responses.observe(seconds)
+    assert responses == Responses(0.1, 0.5, worst=0.6, late=3, very_late=1)

@@ -14,7 +14,7 @@ from gateway.bus.blocks import Abilities, BlockMapping, PlannedRead, Planner, ar
 from gateway.bus.identification import IDENTITY_REGISTERS, Identification
 from gateway.bus.proof import Proof
 from gateway.bus.provision import RESET_MARK, Provision, selector_registers
-from gateway.bus.schedule import Job, spread
+from gateway.bus.schedule import Job, on_grid, spread
 from gateway.bus.setpoint import Control, Setpoint, selected
 from gateway.bus.work import Learnt, Task, Work
 from gateway.control.watchdog import control_registers
@@ -47,16 +47,20 @@ TRIP_REGISTERS = ("trip_code", "status")  # FC90, FD01: what is read at once whe
 
 
 class DriveReader:
-    """The reading of one drive on its line. `phase` (0 to 1) shifts its polls against those of its neighbours."""
+    """The reading of one drive on its line, the one at `place` of so many.
 
-    def __init__(self, drive: Drive, planner: Planner, phase: float) -> None:
+    That shifts its polls against those of its neighbours, and says how much of the line its checks may take.
+    """
+
+    def __init__(self, drive: Drive, planner: Planner, place: int = 0, drives: int = 1) -> None:
         self.drive = drive
         self.facts: dict[str, int] = {}
         self.able = Abilities()
         self.is_set_up = False
         self.absent: set[str] = set()
         self._planner = planner
-        self._phase = phase
+        self._phase = place / drives
+        self._drives = drives
         self._missing: list[Register] = []
         self._who = Identification(drive)
         self._proof = Proof(drive, planner)
@@ -155,18 +159,26 @@ class DriveReader:
             self._proof.candidates = [self.able.mapping]
         self.is_set_up = False
         self._control.end("the drive was lost")
-        self._silent_blocks = 0
         self._pending = None
         self._who = self._who.afresh()
+        self._forget_refusals()
+        self._audit = None
+
+    def _forget_refusals(self) -> None:
+        """Try again whatever was refused, or not answered: a reset, or a parameter, may have changed that."""
         self.able = Abilities()
         self.absent.clear()
         self._refusals.clear()
-        self._audit = None
+        self._silent_blocks = self._busy_blocks = 0
+        self._no_text = ()
 
     # ---- how it is set
 
     def _set_up(self, now: float) -> Learnt:
-        """Read, one after another, what must be known before polling: identity codes, selectors, bases."""
+        """Read, one after another, what must be known before polling: identity codes, selectors, bases.
+
+        It comes after a reset, another identity, or a change of the settings: what was refused before is tried again.
+        """
         self.is_set_up = False
         self._control.end("the drive is set up anew")
         model = self.drive.model
@@ -175,7 +187,7 @@ class DriveReader:
         wanted += [model.registers[name] for name in names if name in model.registers]
         wanted += [*self._selector_registers(), *self.drive.bases, *self._who.signs]
         self._proof.propose(self.able.mapping, first=True)
-        self.able = replace(self.able, mapping=None)
+        self._forget_refusals()
         self._missing = list({register.name: register for register in wanted}.values())
         self.facts.clear()
         return self._next_fact(now)
@@ -354,11 +366,11 @@ class DriveReader:
         """Return the jobs of this drive, spread over their periods."""
         jobs = []
         for group, reads in self.plan():
-            offsets = spread(len(reads), group.period)
+            offsets = spread(len(reads), group.period, self._phase)
             for read, offset in zip(reads, offsets, strict=True):
-                due = now + (offset + self._phase * group.period) % group.period if group.period else now
+                due = on_grid(offset, group.period, now) if group.period else now
                 work = Work(Task.POLL, read.request, read)
-                jobs.append(Job(self.drive.name, work, group.period, due, due + group.period))
+                jobs.append(Job(self.drive.name, work, group.period, due, due + group.period, waits_since=now))
                 if due > now + FIRST_WITHIN:  # its place on the grid is far: the first value comes before
                     jobs.append(Job(self.drive.name, work, None, now, now + FIRST_WITHIN))
         return jobs + self._checks(now, jobs)
@@ -399,9 +411,12 @@ class DriveReader:
         audit = self._audit
         if audit is None:
             raise AssertionError("no audit without a block")
-        due = now + audit.every
         read = self._alone(audit.next())
-        return Job(self.drive.name, Work(Task.AUDIT, read.request, read), None, due, due + audit.every)
+        every = audit.every
+        if every >= selectors.UNPROVEN_EVERY:  # nothing disagrees: the checks of all drives keep to their share
+            every = max(every, self._drives * self._planner.cost(read.request) / selectors.AUDIT_SHARE)
+        due = now + every
+        return Job(self.drive.name, Work(Task.AUDIT, read.request, read), None, due, due + every)
 
     def follow_up(self, work: Work, now: float) -> Job[Work] | None:
         """Return what comes some time after a piece of work: the next audit after an audit."""

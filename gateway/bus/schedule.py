@@ -15,7 +15,8 @@ class Job(Generic[Work]):
     """Something to be done for one drive again and again, or once (`period` None).
 
     `due` is when it may start, `deadline` when it should have been done; both monotonic seconds.
-    A period of 0 means as often as the line allows.
+    A period of 0 means as often as the line allows: `due` is then when the next run is promised, and `waits_since`
+    when it may be done if the line is free.
     """
 
     drive: str
@@ -23,6 +24,11 @@ class Job(Generic[Work]):
     period: float | None
     due: float
     deadline: float
+    waits_since: float = float("-inf")
+
+    def may_begin(self, now: float) -> bool:
+        """Say whether it may be done, urgent or not."""
+        return self.waits_since <= now if self.period == 0 else self.due <= now
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +57,8 @@ class _Probe(Generic[Work]):
 class Schedule(Generic[Work]):
     """The jobs of one line.
 
-    Polls run earliest deadline first and without preemption. `turn` is how long one round of the jobs with
-    period 0 takes: their deadline, so that they and the timed ones keep each other waiting fairly.
+    Polls run earliest deadline first and without preemption. Jobs with period 0 are promised one run each in a
+    `turn`, with that deadline; whatever else is free is theirs as well. The one that waits longest goes first.
     Probes of silent drives go ahead of polls, but after the first one of each only as often as
     `silent_share` of the line pays for.
     """
@@ -86,7 +92,9 @@ class Schedule(Generic[Work]):
     def hold(self, drive: str, until: float) -> None:
         """Let nothing be done for a drive before that time, but what is ahead of everything."""
         for job in self._jobs.get(drive, ()):
-            if job.deadline != AHEAD and job.due < until:
+            if job.period == 0:
+                job.waits_since = max(job.waits_since, until)
+            elif job.deadline != AHEAD and job.due < until:
                 job.due = until
                 job.deadline = max(job.deadline, until)
 
@@ -95,8 +103,8 @@ class Schedule(Generic[Work]):
         self._jobs[job.drive].remove(job)
 
     def most_urgent(self, drive: str, now: float) -> Job[Work] | None:
-        """Return the job of a drive that is due and has the earliest deadline."""
-        due = (job for job in self._jobs.get(drive, ()) if job.due <= now)
+        """Return the job of a drive that may be done and has the earliest deadline."""
+        due = (job for job in self._jobs.get(drive, ()) if job.may_begin(now))
         return min(due, key=lambda job: job.deadline, default=None)
 
     def jobs(self, drive: str) -> tuple[Job[Work], ...]:
@@ -120,16 +128,26 @@ class Schedule(Generic[Work]):
             probe_at = self._probe_time(probe)
             if probe_at <= now:
                 return Send(probe.job, is_probe=True)
-        best: Job[Work] | None = None
+        best: Job[Work] | None = None  # of what is due, that with the earliest deadline
+        longest: Job[Work] | None = None  # of those without a period, that which waits longest
         earliest = probe_at
         for drive, jobs in self._jobs.items():
             if drive in self._suspended:
                 continue
             for job in jobs:
-                if job.due > now:
+                if job.period == 0:
+                    if job.waits_since > now:
+                        earliest = min(earliest, job.waits_since)
+                        continue
+                    if longest is None or job.waits_since < longest.waits_since:
+                        longest = job
+                if job.due <= now:
+                    if best is None or job.deadline < best.deadline:
+                        best = job
+                elif job.period != 0:
                     earliest = min(earliest, job.due)
-                elif best is None or job.deadline < best.deadline:
-                    best = job
+        if longest is not None and (best is None or best.period == 0):
+            return Send(longest if best is None else _instead(best, longest))
         if best is not None:
             return Send(best)
         return None if earliest == float("inf") else NotBefore(earliest)
@@ -155,14 +173,32 @@ class Schedule(Generic[Work]):
             if job in self._jobs.get(job.drive, ()):
                 self.remove(job)
         elif job.period == 0:
-            job.due = now
-            job.deadline = now + self.turn
+            job.waits_since = now
+            if job.due <= now:
+                job.due = max(now, job.deadline)
+                job.deadline = job.due + self.turn
         else:
             missed = int(max(0.0, now - job.due) / job.period)
             job.due += (missed + 1) * job.period
             job.deadline = job.due + job.period
 
 
-def spread(count: int, period: float) -> list[float]:
-    """Return offsets that lay `count` jobs of one period evenly over it."""
-    return [index * period / count for index in range(count)]
+def _instead(due: Job[Work], longest: Job[Work]) -> Job[Work]:
+    """Let the job that waits longest have the run that is promised now, and the other one its own."""
+    due.due, longest.due = longest.due, due.due
+    due.deadline, longest.deadline = longest.deadline, due.deadline
+    return longest
+
+
+def spread(count: int, period: float, phase: float = 0.0) -> list[float]:
+    """Return offsets that lay `count` jobs of one period evenly over it.
+
+    `phase` (0 to 1) shifts them between each other: where each of several drives has one of its own, evenly spread,
+    their jobs do not fall on each other.
+    """
+    return [(index + phase) * period / count for index in range(count)]
+
+
+def on_grid(offset: float, period: float, now: float) -> float:
+    """Return the next time from now on that is `offset` behind a multiple of the period, whenever a drive joins."""
+    return now + (offset - now) % period

@@ -22,6 +22,7 @@ DISAGREEMENTS = 2  # of one register in a row, before a mapping is given up
 PROOFS = 3  # tries to prove a mapping, before it is held to be wrong
 SUSPECT_EVERY = 0.1  # seconds between two checks after a disagreement
 UNPROVEN_EVERY = 2.0  # seconds between two checks while some word has only agreed at 0
+AUDIT_SHARE = 0.05  # of the line, for the checks of all its drives together while nothing has disagreed
 STIR_AT_MOST = 2  # blocks in a row of which each may bring the words in doubt to be checked at once
 PROVEN_EVERY = 30.0  # seconds between two checks afterwards
 

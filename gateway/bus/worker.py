@@ -6,6 +6,7 @@ import logging
 from collections.abc import Awaitable, Callable, Mapping
 
 from gateway import site
+from gateway.bus import traffic
 from gateway.bus.blocks import Planner
 from gateway.bus.controls import Broadcast, Commanded, LineControls
 from gateway.bus.echo import LocalEcho
@@ -13,8 +14,10 @@ from gateway.bus.exchange import Answered, Exchanger
 from gateway.bus.keepalive import Keepalive
 from gateway.bus.line import Line
 from gateway.bus.link import Heard, Link
+from gateway.bus.plan import plan_drive
 from gateway.bus.reader import DriveReader
 from gateway.bus.refresh import turn, unkept, worst_case
+from gateway.bus.response import Traffic
 from gateway.bus.schedule import AHEAD, Job, NotBefore, Schedule, Send
 from gateway.bus.setpoint import Setpoint
 from gateway.bus.work import Learnt, Task, Work
@@ -24,7 +27,7 @@ from gateway.control.drive_control import DriveControl
 from gateway.control.state import Errand
 from gateway.errors import BadReply, LineDown, NoReply, Refusal, Refused, TooLate
 from gateway.image import DriveImage, LinkState
-from gateway.metrics import DriveStats, LineStats
+from gateway.metrics import DriveStats, LineStats, Responses
 from gateway.protocol.pdu import EVERY_DRIVE, ReadWords, Request, Words, WriteRam, WriteStored
 from gateway.trace.record import Tap
 
@@ -46,13 +49,13 @@ class _Station:
     """One drive as this line serves it: its reader, its link, and where its values and counts go."""
 
     def __init__(
-        self, drive: site.Drive, image: DriveImage, stats: DriveStats, planner: Planner, phase: float
+        self, drive: site.Drive, image: DriveImage, stats: DriveStats, planner: Planner, reader: DriveReader
     ) -> None:
         self.drive = drive
         self.image = image
         self.stats = stats
         self.planner = planner
-        self.reader = DriveReader(drive, planner, phase)
+        self.reader = reader
         self.link = Link()
         self.trip_looked = float("-inf")  # when the trip code was read anew because the status says otherwise
         self.trip_signs: dict[str, bool] = {}  # MODBUS-RTU: by FC90, and by the bit in FD01
@@ -97,14 +100,26 @@ class LineWorker:
         self._alarm = clock.alarm()
         self._schedule: Schedule[Work] = Schedule(line.silent_share, line.probe_every, line.probe_at_most)
         self._stations: dict[str, _Station] = {}
-        for index, drive in enumerate(line.drives):
+        self._beside = self._predict(drive_stats)
+        for place, drive in enumerate(line.drives):
             processing = drive.model.times.processing + drive.wait_time
             planner = Planner(drive.number, drive.model, drive.codec, line.timing, processing)
-            self._stations[drive.name] = _Station(
-                drive, images[drive.name], drive_stats[drive.name], planner, index / len(line.drives)
-            )
+            reader = DriveReader(drive, planner, place, len(line.drives))
+            self._stations[drive.name] = _Station(drive, images[drive.name], drive_stats[drive.name], planner, reader)
             if drive.name in own:
                 self._stations[drive.name].turn = turn(line, drive)
+
+    def _predict(self, drive_stats: Mapping[str, DriveStats]) -> float:
+        """Reckon how late each poll is answered at the worst, as `check` does; return the share of all but polls."""
+        plans = [plan_drive(drive, self._line, with_selectors=True) for drive in self._line.drives]
+        worst = traffic.undisturbed(self._line, plans).worst
+        disturbed = traffic.disturbed(self._line, plans).worst
+        for plan in plans:
+            for group, reads in plan.groups:
+                if reads:
+                    responses = Responses(worst[group.period], disturbed[group.period])
+                    drive_stats[plan.drive.name].responses[group.period] = responses
+        return traffic.beside(self._line, plans)
 
     @property
     def _slowest(self) -> float:
@@ -348,6 +363,7 @@ class LineWorker:
         station = self._stations[job.drive]
         started = self._clock.now()
         station.stats.exchanges += 1
+        asked_since = job.due if job.period else job.waits_since
         request = station.reader.request(job.work)
         if isinstance(request, WriteStored):
             station.stats.eeprom_writes[request.address] += 1
@@ -360,6 +376,8 @@ class LineWorker:
         except Refused as refused:
             self._refused(station, job, request, refused, started)
         else:
+            if job.work.task is Task.POLL and job.period is not None and job.period in station.stats.responses:
+                station.stats.responses[job.period].observe(answered.done - asked_since)
             self._answered(station, job, answered)
 
     def _refused(
@@ -494,13 +512,13 @@ class LineWorker:
             self._schedule.add(later)
 
     def _turn(self) -> float:
-        """Return how long one round of everything that is read as fast as possible takes."""
-        return sum(
-            station.planner.cost(job.work.request)
+        """Return in what time everything that is read as fast as possible is promised to be read once."""
+        polls = [
+            stream
             for name, station in self._stations.items()
-            for job in self._schedule.jobs(name)
-            if job.period == 0
-        )
+            for stream in traffic.streams(station.planner, self._schedule.jobs(name))
+        ]
+        return Traffic(polls, reserved=self._beside).turn
 
     def _hear(self, station: _Station, heard: Heard, reason: str = "") -> None:
         before = station.link.state

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from typing import Generic, TypeVar
@@ -189,6 +189,25 @@ def _of_drives(site: Site, stats: Stats) -> Iterator[Metric]:
         for address, count in sorted(drive.eeprom_writes.items()):
             writes.add_metric((*of, f"{address:04X}"), count)
     yield writes
+    yield from _of_polls(each)
+
+
+def _of_polls(each: Sequence[tuple[Labels, DriveStats]]) -> Iterator[Metric]:
+    text = "Longest time from when a poll fell due to its answer; as fast as possible (0): from the answer before."
+    worst = GaugeMetricFamily("tosvert_drive_poll_response_seconds", text, labels=(*DRIVE, "every"))
+    text = "The same as check reckons it: while every drive answers, and while exchanges are lost now and then."
+    predicted = GaugeMetricFamily("tosvert_drive_poll_predicted_seconds", text, labels=(*DRIVE, "every", "premise"))
+    text = "Answers to polls that came later than was reckoned on that premise."
+    late = CounterMetricFamily("tosvert_drive_poll_late_total", text, labels=(*DRIVE, "every", "premise"))
+    for of, drive in each:
+        for period, responses in sorted(drive.responses.items()):
+            every = (*of, f"{period:g}")
+            worst.add_metric(every, responses.worst)
+            predicted.add_metric((*every, "undisturbed"), responses.predicted)
+            predicted.add_metric((*every, "disturbed"), responses.disturbed)
+            late.add_metric((*every, "undisturbed"), responses.late)
+            late.add_metric((*every, "disturbed"), responses.very_late)
+    yield from (worst, predicted, late)
 
 
 def _of_control(site: Site, stats: Stats) -> Iterator[Metric]:

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
+from random import Random
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gateway import site
+from gateway.bus import selectors
 from gateway.bus.blocks import HOLE, Abilities, PlannedRead, Planner, area
+from gateway.bus.reader import DriveReader
+from gateway.bus.work import Task
 from gateway.drives import catalogue
 from gateway.drives.model import Model
 from gateway.drives.register import Register
+from gateway.protocol.codec import Forms
 from gateway.protocol.modbus_rtu import ModbusRtu
 from gateway.protocol.pdu import ReadBlock, ReadWords
+from gateway.protocol.registry import PROTOCOLS
 from gateway.protocol.timing import LineTiming
 
 MODELS = catalogue.load()
@@ -156,3 +164,82 @@ def _cost_of(plan: Planner, order: list[Register], cuts: tuple[bool, ...]) -> fl
             return float("inf")
         total += plan.cost(ReadWords(1, 0, span))
     return total
+
+
+# ---- in every protocol and model: as often as promised, no hole, no limit broken
+
+
+def drive_of(draw: st.DrawFn) -> tuple[site.Drive, DriveReader]:
+    """Draw a drive of any model with poll groups of any values, and its reading."""
+    model = MODELS[draw(st.sampled_from(["vf-nc3", "vf-mb1"]))]
+    protocol = draw(st.sampled_from(sorted(PROTOCOLS)))
+    readable = sorted(name for name in model.registers if name not in ("command",))
+    groups = draw(st.lists(st.lists(st.sampled_from(readable), min_size=1, max_size=7), min_size=1, max_size=3))
+    periods = draw(st.lists(st.sampled_from(["0s", "100ms", "1s", "7s"]), min_size=3, max_size=3, unique=True))
+    polls = [{"values": names, "every": every} for names, every in zip(groups, periods, strict=False)]
+    section = {"name": "p", "number": 1, "model": model.name, "protocol": protocol, "poll": polls}
+    (line,) = site.build(
+        {"gateway": {"name": "g"}, "line": [{"name": "a", "port": "/dev/none", "drive": [section]}]}, "test", Path()
+    ).lines
+    (drive,) = line.drives
+    plan = Planner(1, drive.model, drive.codec, line.timing, drive.model.times.processing)
+    return drive, DriveReader(drive, plan)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_every_asked_register_is_read_as_often_as_promised_in_every_protocol(data: st.DataObject) -> None:
+    """By one read of its fastest group or a faster one, by none besides but a block that carries it anyway."""
+    drive, reader = data.draw(st.composite(drive_of)())
+    forms, model = drive.codec.forms, drive.model
+    codes = [code for code, name in model.read_selectors.items() if name]
+    if forms.has_block and data.draw(st.booleans()):
+        words = data.draw(st.lists(st.sampled_from(codes), min_size=5, max_size=5, unique=True))
+        reader.able = Abilities(mapping=selectors.mapping_of(model, words))
+    promised: dict[str, float] = {}
+    for group in drive.groups:
+        for register in group.registers:
+            promised[register.name] = min(group.period, promised.get(register.name, group.period))
+    polls = [
+        (job.period, job.work.read)
+        for job in reader.polls(0.0)
+        if job.work.task is Task.POLL and job.period is not None and job.work.read is not None
+    ]
+    for name, period in promised.items():
+        carried = [(every, read) for every, read in polls if name in {r.name for r in read.registers}]
+        assert min(every for every, _ in carried) <= period
+        assert sum(not isinstance(read.request, ReadBlock) for _, read in carried) <= 1
+    for _, read in polls:
+        assert any(register.name in promised for register in read.registers)
+        keeps_the_limits(read, model, forms)
+
+
+def keeps_the_limits(read: PlannedRead, model: Model, forms: Forms) -> None:
+    """Assert that protocol and model have the form, at that length."""
+    count = read.request.count
+    if isinstance(read.request, ReadBlock):
+        assert forms.has_block
+        assert model.blocks.indirect_read_minimum <= count <= model.blocks.indirect_read_maximum
+    elif count > 1:
+        assert forms.has_direct_block
+        assert count <= model.blocks.direct_read_maximum
+        assert read.carries[0] is not None
+        assert read.carries[-1] is not None
+
+
+@given(wanted_sets.filter(bool), st.integers(0, 999))
+def test_no_value_comes_out_of_a_hole(names: list[str], seed: int) -> None:
+    """A drive with numbers missing between the wanted ones: what is read is what the registers hold."""
+    chance = Random(seed)
+    wanted = registers(*names)
+    memory = {register.address: chance.choice([HOLE, chance.randrange(0x10000)]) for register in wanted}
+    told: dict[int, int] = {}
+    doubtful: set[int] = set()
+    for read in planner().plan(wanted, Abilities()):
+        assert isinstance(read.request, ReadWords)
+        words = [memory.get(read.request.address + offset, HOLE) for offset in range(read.request.count)]
+        told |= dict(read.values(words))
+        doubtful |= {register.address for register in read.doubtful(words)}
+    assert told.items() <= memory.items()
+    assert doubtful == memory.keys() - told.keys()
+    assert all(memory[address] == HOLE for address in doubtful)

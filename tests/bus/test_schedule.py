@@ -191,3 +191,60 @@ def test_no_job_starves_even_on_an_overfull_line(periods: list[float], cost: flo
         for index, period in enumerate(periods):
             most = 2 * max(period, plan.turn) + (len(periods) + 1) * cost
             assert now - last[f"d{index}"] <= most + 1e-9
+
+
+# ---- jobs without a period
+
+
+def test_jobs_without_a_period_have_one_promised_run_in_each_turn_and_the_free_line() -> None:
+    """The promised run goes by its deadline; what is done besides, while nothing is due, moves no promise."""
+    plan = schedule()
+    plan.turn = 0.5
+    fast, timed = Job("a", "fast", 0.0, 0.0, 0.0), periodic("b", 1.0)
+    plan.set_jobs("a", [fast])
+    plan.set_jobs("b", [timed])
+    assert plan.next(0.0) == Send(fast)
+    plan.done(fast, 0.1)
+    assert [fast.due, fast.deadline] == pytest.approx([0.1, 0.6])
+    assert plan.next(0.1) == Send(fast)  # promised at once, since the first was late; its deadline is sooner
+    plan.done(fast, 0.2)
+    assert [fast.due, fast.deadline] == pytest.approx([0.6, 1.1])
+    assert plan.next(0.2) == Send(timed)  # has waited for nothing but promised runs
+    plan.done(timed, 0.3)
+    assert plan.next(0.3) == Send(fast)  # nothing is due: the line is free
+    plan.done(fast, 0.4)
+    assert [fast.due, fast.deadline] == pytest.approx([0.6, 1.1])
+
+
+def test_a_timed_job_goes_before_what_is_not_promised() -> None:
+    """However seldom it is: a free run waits."""
+    plan = schedule()
+    fast, timed = Job("a", "fast", 0.0, 5.0, 5.5), periodic("b", 60.0)
+    plan.set_jobs("a", [fast])
+    plan.set_jobs("b", [timed])
+    assert plan.next(0.0) == Send(timed)
+
+
+def test_the_promised_run_goes_to_the_job_that_waits_longest() -> None:
+    """The one whose turn it was has that of the other one later; nobody loses a run."""
+    plan = schedule()
+    plan.turn = 0.5
+    new, old = Job("a", "new", 0.0, 0.0, 0.1, waits_since=0.9), Job("b", "old", 0.0, 2.0, 2.5, waits_since=0.2)
+    plan.set_jobs("a", [new])
+    plan.set_jobs("b", [old])
+    assert plan.next(1.0) == Send(old)
+    plan.done(old, 1.05)
+    assert (new.due, new.deadline) == (2.0, 2.5)
+    assert [old.due, old.deadline] == pytest.approx([1.05, 1.55])
+
+
+def test_a_held_drive_is_not_read_because_the_line_is_free() -> None:
+    """A late answer might be believed: the poll waits, and is awaited."""
+    plan = schedule()
+    plan.set_jobs("a", [Job("a", "fast", 0.0, 0.0, 0.0)])
+    plan.hold("a", 0.4)
+    assert plan.next(0.1) == NotBefore(0.4)
+    assert plan.most_urgent("a", 0.1) is None
+    found = plan.next(0.4)
+    assert isinstance(found, Send)
+    assert plan.most_urgent("a", 0.4) is found.job

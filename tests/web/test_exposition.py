@@ -14,6 +14,7 @@ from gateway import site
 from gateway.control.state import Standing
 from gateway.control.wear import MEMORY, Wear
 from gateway.image import LinkState, Quality
+from gateway.metrics import Responses
 from gateway.web.exposition import families
 from tests.web.rig import NOW, Rig, table
 
@@ -75,6 +76,7 @@ def busy() -> Rig:
     pump.communication_timeout, pump.least_margin, pump.standing = 1.5, 0.9, "armed"
     pump.commands.update({("done", ""): 7, ("refused", "not_owner"): 2})
     pump.events.update(armed=3, lease_lost=1)
+    pump.responses = {0.1: Responses(0.07, 0.4, worst=0.09, late=3, very_late=0), 0.0: Responses(0.05, 0.5)}
     rig.ledger.wear["pump-1", 0x0875] = Wear(9000, 0.01, NOW)
     rig.ledger.dropped = 6
     rig.image.by_name["pump-1"].set_tripped(True)
@@ -98,6 +100,16 @@ def test_every_metric_is_documented_as_it_is(busy: Rig) -> None:
         labels = {label for sample in family.samples for label in sample.labels} - {"le"}
         exposed[exposed_name(family)] = ({"info": "gauge"}.get(family.type, family.type), labels)
     assert exposed == DOCUMENTED
+
+
+def test_responses_stand_beside_what_was_reckoned(busy: Rig) -> None:
+    """By period; 0 is as fast as possible."""
+    of = {"line": "a", "drive": "pump-1", "every": "0.1"}
+    assert value(busy, "tosvert_drive_poll_response_seconds", **of) == 0.09
+    assert value(busy, "tosvert_drive_poll_predicted_seconds", **of, premise="undisturbed") == 0.07
+    assert value(busy, "tosvert_drive_poll_predicted_seconds", **of, premise="disturbed") == 0.4
+    assert value(busy, "tosvert_drive_poll_late_total", **of, premise="undisturbed") == 3
+    assert value(busy, "tosvert_drive_poll_response_seconds", **{**of, "every": "0"}) == 0
 
 
 def test_names_keep_to_the_conventions(busy: Rig) -> None:

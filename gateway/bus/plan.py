@@ -1,0 +1,51 @@
+"""How one drive is read before anything is known of it: as it is shipped, or with the best block selectors set."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from gateway.bus import selectors
+from gateway.bus.blocks import Abilities, PlannedRead, Planner
+from gateway.bus.reader import BLOCK_MODE, DriveReader
+from gateway.bus.schedule import Job
+from gateway.bus.work import Work
+from gateway.protocol.pdu import ReadBlock
+from gateway.site import Drive, Line, PollGroup
+
+
+@dataclass(frozen=True, slots=True)
+class DrivePlan:
+    """How one drive is read: its groups with their reads, and the selectors that this supposes; all its jobs."""
+
+    drive: Drive
+    planner: Planner
+    selectors: tuple[int, ...]
+    groups: Sequence[tuple[PollGroup, tuple[PlannedRead, ...]]]
+    jobs: Sequence[Job[Work]]
+
+    @property
+    def load(self) -> float:
+        """Return the share of the line that the timed groups take."""
+        return sum(self.planner.time(reads) / group.period for group, reads in self.groups if group.period)
+
+    @property
+    def round(self) -> float:
+        """Return how many seconds of wire one round of the groups without a period takes."""
+        return sum(self.planner.time(reads) for group, reads in self.groups if not group.period)
+
+    @property
+    def uses_block(self) -> bool:
+        """Say whether the indirect block is read."""
+        return any(isinstance(read.request, ReadBlock) for _, reads in self.groups for read in reads)
+
+
+def plan_drive(drive: Drive, line: Line, *, with_selectors: bool) -> DrivePlan:
+    """Plan a drive as it is shipped (no selectors set), or with the best selectors set."""
+    processing = drive.model.times.processing + drive.wait_time
+    planner = Planner(drive.number, drive.model, drive.codec, line.timing, processing)
+    reader = DriveReader(drive, planner, drives=len(line.drives))
+    codes = selectors.best(drive) if with_selectors and planner.has_block else ()
+    reader.able = Abilities(mapping=selectors.mapping_of(drive.model, codes))
+    reader.facts = dict.fromkeys({BLOCK_MODE} & drive.model.registers.keys(), 0)
+    return DrivePlan(drive, planner, codes, reader.plan(), reader.polls(0.0))
