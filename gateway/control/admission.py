@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 
@@ -16,10 +16,12 @@ from gateway.control.composing import (
     PRIORITIES,
     SPEED,
     NotComposable,
+    Step,
     compose,
     has_bit,
     runs,
 )
+from gateway.control.raw_stops import bare, is_plain, raw_stop
 from gateway.control.settings import ControlSettings
 from gateway.control.writes import Allowed, BadCommand, PlannedWrite, Why, limited_by, plan_write
 from gateway.drives.register import Kind, Register
@@ -28,6 +30,7 @@ from gateway.site import Drive
 EXECUTIVE = (Verb.RUN, Verb.JOG, Verb.PRESET)  # what sets a motor in motion
 COMPOSED = frozenset(Verb) - {Verb.SET, Verb.WORDS, Verb.ARM, Verb.TAKE, Verb.RELEASE}
 SETPOINTS = (Verb.FREQUENCY, Verb.SPEED, Verb.ANALOG)  # of which only the newest matters
+LEFT_OUT = "stopped; the words beside the stop were left out: they are for the owner, with the right to them"
 
 POLES_PER_HZ = 120  # min-1 times the number of poles, to Hz (FA13, VF-MB1 RS485 8.1)
 
@@ -52,12 +55,16 @@ class NotAdmitted(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The writes of a command. `is_stop`: it goes ahead; `is_motion`: the drive must be armed for it."""
+    """The writes of a command. `is_stop`: it goes ahead; `is_motion`: the drive must be armed for it.
+
+    `beside` says what of the words beside a raw stop is not written, and why; without a reason it is no failure.
+    """
 
     writes: tuple[PlannedWrite, ...]
     is_stop: bool = False
     is_motion: bool = False
     is_reset: bool = False
+    beside: tuple[Reason, str] = (Reason.NONE, "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,40 +74,46 @@ class Admission:
     drive: Drive
     settings: ControlSettings
 
+    def is_stop(self, command: Command) -> bool:
+        """Say whether a command stops the motor, typed or raw: from any source, with or without a right to more."""
+        return command.verb.is_stopping or raw_stop(command, self.drive.model) is not None
+
     def check_right(self, command: Command) -> None:
         """Refuse what the source may not ask for at all."""
         if not self.settings.may_write(command.source):
             raise NotAdmitted(Reason.NOT_PERMITTED, f"{command.source} may not write to {self.drive.name}")
-        if not self.settings.permits_verb(command):
+        if not self.settings.permits_verb(command) and not self.is_stop(command):
             raise NotAdmitted(Reason.NOT_PERMITTED, f"{command.source} has no right to {command.verb}")
 
     def plan(self, command: Command, known: Mapping[str, int], *, is_own: bool) -> Plan:
         """Return all the writes of a command, every one of them checked before the first frame.
 
         `known` are words as the drive has them, by register name; `is_own` says that the source may command more
-        than stops.
+        than stops. A raw stop goes first, and is carried out whatever stands beside it.
         """
-        model, allowed = self.drive.model, Allowed(stored=self.settings.allow_stored)
+        stop = raw_stop(command, self.drive.model)
+        if stop is not None and not (is_own and self.settings.permits_verb(command)):
+            left_out = LEFT_OUT if len(command.words) > 1 else ""
+            return Plan(self._writes((bare(stop),), known), is_stop=True, beside=(Reason.NONE, left_out))
+        if stop is None:
+            return self._plan_all(command, known)
         try:
-            steps = compose(command, model, known)
-            writes = tuple(
-                plan_write(model, self.drive.codec, self.drive.number, step.register, step.word, allowed, known)
-                for step in steps
-            )
-        except NotComposable as error:
-            raise NotAdmitted(error.reason, str(error)) from error
-        except BadCommand as error:
-            raise NotAdmitted(REASONS[error.why], str(error)) from error
-        for write in writes:
-            self._check_word(command, write.register, write.word, known)
+            if not is_plain(stop):
+                return self._plan_all(command, known)
+            rest = self._checked(command, known, but=COMMAND)
+        except NotAdmitted as refusal:
+            only = stop if is_plain(stop) else bare(stop)
+            beside = (refusal.reason, f"stopped; not written: {refusal}")
+            return Plan(self._writes((only,), known), is_stop=True, beside=beside)
+        writes = (*self._writes((stop,), known), *rest)
+        return Plan(writes, is_stop=True, is_motion=any(map(_is_motion, rest)))
+
+    def _plan_all(self, command: Command, known: Mapping[str, int]) -> Plan:
+        writes = self._checked(command, known)
         self._check_held_frequency(writes, known)
-        is_raw = command.verb in (Verb.SET, Verb.WORDS) and (is_own or len(writes) == 1)
-        is_raw_stop = is_raw and any(_stops(write, is_own=is_own) for write in writes)
-        if is_raw_stop:
-            writes = tuple(sorted(writes, key=lambda write: write.register.name != COMMAND))
         return Plan(
             writes,
-            is_stop=command.verb.is_stopping or is_raw_stop,
+            is_stop=command.verb.is_stopping,
             is_motion=command.verb in EXECUTIVE or any(_is_motion(write) for write in writes),
             is_reset=any(not write.is_answered for write in writes),
         )
@@ -115,6 +128,27 @@ class Admission:
         frequency = self.drive.model.registers.get(FREQUENCY)
         if frequency is not None and HELD_FREQUENCY in known:
             self._check_frequency(frequency.decode(known[HELD_FREQUENCY]))
+
+    def _checked(self, command: Command, known: Mapping[str, int], but: str = "") -> tuple[PlannedWrite, ...]:
+        """Return the writes of a command but for one register, all of them in range and permitted."""
+        try:
+            steps = compose(command, self.drive.model, known)
+        except NotComposable as error:
+            raise NotAdmitted(error.reason, str(error)) from error
+        writes = self._writes((step for step in steps if step.register.name != but), known)
+        for write in writes:
+            self._check_word(command, write.register, write.word, known)
+        return writes
+
+    def _writes(self, steps: Iterable[Step], known: Mapping[str, int]) -> tuple[PlannedWrite, ...]:
+        drive, allowed = self.drive, Allowed(stored=self.settings.allow_stored)
+        try:
+            return tuple(
+                plan_write(drive.model, drive.codec, drive.number, step.register, step.word, allowed, known)
+                for step in steps
+            )
+        except BadCommand as error:
+            raise NotAdmitted(REASONS[error.why], str(error)) from error
 
     def _check_word(self, command: Command, register: Register, word: int, known: Mapping[str, int]) -> None:
         if not self.settings.permits(command, register, word):
@@ -139,19 +173,6 @@ class Admission:
         """Return the registers that limit the frequency: FH, UL, LL as far as the model has them."""
         frequency = self.drive.model.registers.get(FREQUENCY)
         return limited_by(self.drive.model, frequency) if frequency is not None else ()
-
-
-def _stops(write: PlannedWrite, *, is_own: bool) -> bool:
-    """Say whether a raw word is a stop: a command word without motion that keeps the priority of commands.
-
-    One that gives the priority back may let the panel or the terminals start the motor: that is for the owner only.
-    """
-    register, word = write.register, write.word
-    if register.name != COMMAND or has_bit(register, word, "fault_reset"):
-        return False
-    if has_bit(register, word, "emergency_stop"):
-        return True
-    return not runs(register, word) and (is_own or has_bit(register, word, "command_priority"))
 
 
 def _is_motion(write: PlannedWrite) -> bool:

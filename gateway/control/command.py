@@ -129,11 +129,14 @@ class Command:
     address: int = 0
     words: tuple[int, ...] = ()
 
-    def older_by(self, seconds: float) -> Command:
-        """Return it as it is if it has lain unread for so long: its time began, and ends, that much sooner."""
+    def older_by(self, seconds: float, *, is_stop: bool = False) -> Command:
+        """Return it as it is if it has lain unread for so long: its time began, and ends, that much sooner.
+
+        A stop does not end: `is_stop` says so of a raw one.
+        """
         if seconds <= 0:
             return self
-        deadline = self.deadline if self.verb.is_stopping else self.deadline - seconds
+        deadline = self.deadline if is_stop or self.verb.is_stopping else self.deadline - seconds
         return replace(self, received=self.received - seconds, deadline=deadline)
 
 

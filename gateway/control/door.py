@@ -96,8 +96,9 @@ class Door:
             self._refuse_unknown(command, answer)
             return
         now = self.clock.now()
-        aged = command.older_by(command.received - self.since(now))
-        if not command.verb.is_stopping and now > aged.deadline:
+        is_stop = control.state.admission.is_stop(command)
+        aged = command.older_by(command.received - self.since(now), is_stop=is_stop)
+        if not is_stop and now > aged.deadline:
             control.tick(now)
             self._refuse(command, answer, Reason.EXPIRED, "it may have lain here while the gateway stood still")
         else:

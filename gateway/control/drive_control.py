@@ -378,6 +378,7 @@ class DriveControl:
             execution.finish(Status.REFUSED, refusal.reason, str(refusal))
             return False
         execution.plan(plan.writes)
+        execution.beside = plan.beside
         if plan.is_reset:
             self.state.disarm("the drive is being reset")
         return True

@@ -40,6 +40,7 @@ class Execution:
     A write without an answer is not repeated: reading back tells what became of it. `is_stop` is written again
     until it is answered, with no read in between, since a read would keep the drive's F803 from acting; then it is
     read back. `was_announced`: every drive was told by one broadcast, and it may only have to be read back.
+    `beside` is what of the words beside a stop is not written, and why: the stop is carried out, and then that told.
     """
 
     command: Command
@@ -55,6 +56,7 @@ class Execution:
     read_back: dict[str, int] = field(default_factory=dict)
     status: Status | None = None
     joined: list[tuple[Command, Answer]] = field(default_factory=list)  # equal stops that came meanwhile
+    beside: tuple[Reason, str] = (Reason.NONE, "")
     _was_sent_before: bool = False  # before the frame that is leaving now
     _place: int = 0
     _silent: str = ""
@@ -267,6 +269,11 @@ class Execution:
         if self.is_over:
             return
         self.phase, self.status = Phase.OVER, status
-        raw = {write.register.name: write.word for write in self.writes} if self.was_sent or self.is_stop else {}
+        is_told = self.was_sent or self.was_announced
+        raw = {write.register.name: write.word for write in self.writes} if is_told else {}
+        plain = end = (status, reason, text)
+        if status is Status.DONE and any(self.beside):
+            end = (Status.DONE if self.beside[0] is Reason.NONE else Status.FAILED, *self.beside)
         for command, answer in [(self.command, self.answer), *self.joined]:
-            answer(Result(command, status, reason, text, raw, dict(self.read_back), dict(self.before)))
+            told = end if command is self.command else plain
+            answer(Result(command, *told, raw, dict(self.read_back), dict(self.before)))

@@ -198,7 +198,7 @@ def _is_answered(model: Model, register: Register, word: int) -> bool:
     if silent not in set_bits:
         return True
     if "run" in set_bits:
-        raise BadCommand(Why.FORBIDDEN, f"{label(register)}: {silent} is sent alone, without run")
+        raise BadCommand(Why.RANGE, f"{label(register)}: {silent} is sent alone, without run")
     return False
 
 

@@ -67,16 +67,22 @@ REFUSED: Mapping[Reason, ExceptionCode] = {  # nothing was sent
     Reason.OFFLINE: ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND,
     Reason.NO_ANSWER: ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND,
 }
+BESIDE_A_STOP = frozenset(  # nothing that was sent fails so: of the words beside a stop none was
+    (Reason.NOT_PERMITTED, Reason.NOT_IN_MODEL, Reason.READ_ONLY, Reason.FORBIDDEN, Reason.STORED, Reason.RANGE)
+)
 TARGET_LOST = frozenset((Reason.NO_ANSWER, Reason.OFFLINE))
 
 
 def exception_of(result: Result, link: LinkState = LinkState.ONLINE) -> ExceptionCode | None:
     """Return the exception that tells a result; None where it is done. `link` is that of its drive.
 
-    What was sent and failed is never told by a code that says that nothing was sent (01, 02, 03, 06).
+    What was sent and failed is never told by a code that says that nothing was sent (01, 02, 03, 06): beside a raw
+    stop that was carried out they tell of the words that were not sent.
     """
     if result.status is Status.DONE:
         return None
+    if result.status is Status.FAILED and result.reason in BESIDE_A_STOP:
+        return REFUSED[result.reason]
     if result.status is Status.REFUSED:
         is_line_down = link is LinkState.LINE_DOWN and result.reason is Reason.OFFLINE
         return REFUSED[Reason.LINE_DOWN if is_line_down else result.reason]

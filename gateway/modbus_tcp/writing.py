@@ -42,9 +42,6 @@ class DriveWriter:
         except Malformed:
             reply(ExceptionCode.ILLEGAL_DATA_VALUE)
             return 0.0
-        if request.read is not None and self._unit.read(*request.read, now) is Missing.UNMAPPED:
-            reply(ExceptionCode.ILLEGAL_DATA_ADDRESS)
-            return 0.0
         command = Command(
             self._drive,
             Verb.WORDS,
@@ -54,6 +51,10 @@ class DriveWriter:
             address=request.address,
             words=request.words,
         )
+        is_mapped = request.read is None or self._unit.read(*request.read, now) is not Missing.UNMAPPED
+        if not is_mapped and not control.state.admission.is_stop(command):
+            reply(ExceptionCode.ILLEGAL_DATA_ADDRESS)
+            return 0.0
         self._door.submit(command, lambda result: reply(self._answer(request, result)))
         return patience(control.settings)
 

@@ -103,26 +103,51 @@ def test_several_words_are_all_checked_before_the_first_is_sent() -> None:
     assert reason is Reason.RANGE
 
 
+@pytest.mark.hazard("H04")
 @pytest.mark.parametrize(
-    ("word", "own", "is_stop"),
+    ("word", "own", "written"),
     [
-        (0x8000, False, True),
-        (0xC000, False, True),
-        (0x9000, False, True),
-        (0x1400, False, True),  # emergency stop wins, and works without bit 15
-        (0x8400, False, False),
-        (0x8100, False, False),
-        (0x0000, False, False),  # gives the priority back: the terminals might start the motor
-        (0x0000, True, True),
-        (0xA000, True, False),  # a fault reset
+        (0x8000, False, 0x8000),
+        (0xC000, False, 0xC000),
+        (0x9000, False, 0x9000),
+        (0x0000, False, 0x8000),  # the priority is kept: the terminals might start the motor
+        (0x4000, False, 0xC000),
+        (0x8C00, False, 0x8800),  # coasts, and does not run when the coast bit goes
+        (0x1400, False, 0x9000),  # emergency stop wins
+        (0xB000, False, 0x9000),  # a reset is for the owner
+        (0x0000, True, 0x0000),
+        (0x8C00, True, 0x8C00),
+        (0x1400, True, 0x1400),
+        (0xB400, True, 0x9400),  # of an emergency stop and a reset, the emergency stop
     ],
 )
-def test_a_raw_command_word_is_a_stop_when_it_stops(word: int, *, own: bool, is_stop: bool) -> None:
-    """And keeps the priority of commands, unless it is the owner's."""
+def test_a_raw_command_word_without_motion_is_a_stop(word: int, *, own: bool, written: int) -> None:
+    """The owner's is written as it is, another one's so that it can only stop."""
+    for more in ({"address": 0xFA00, "words": (word,)}, {"name": "command", "value": str(word)}):
+        verb = Verb.WORDS if "words" in more else Verb.SET
+        made = plan(admission(), verb, PLC, own=own, **more)
+        assert made.is_stop
+        assert not made.is_motion
+        assert not made.is_reset
+        assert [write.word for write in made.writes] == [written]
+
+
+@pytest.mark.parametrize("own", [True, False])
+@pytest.mark.parametrize("word", [0x8400, 0x8100, 0xA000])
+def test_a_raw_command_word_that_runs_or_resets_is_no_stop(word: int, *, own: bool) -> None:
+    """A reset with a coast bit is its owner's reset, too."""
     made = plan(admission(), Verb.WORDS, PLC, own=own, address=0xFA00, words=(word,))
-    assert made.is_stop is is_stop
-    assert made.is_motion is (word in (0x8400, 0x8100))
+    assert not made.is_stop
+    assert made.is_motion is (word != 0xA000)
     assert made.is_reset is (word == 0xA000)
+    made = plan(admission(), Verb.WORDS, PLC, address=0xFA00, words=(0xA800,))
+    assert (made.is_stop, made.is_reset) == (False, True)
+
+
+@pytest.mark.parametrize("word", [0xA400, 0xE400])
+def test_a_reset_with_the_run_bit_is_a_wrong_value(word: int) -> None:
+    """Not a wrong register."""
+    assert refusal(admission(), Verb.WORDS, PLC, address=0xFA00, words=(word,)) is Reason.RANGE
 
 
 def test_a_stop_within_a_block_goes_first() -> None:
@@ -133,10 +158,51 @@ def test_a_stop_within_a_block_goes_first() -> None:
 
 
 @pytest.mark.hazard("H04", "H28")
-def test_a_stop_of_another_source_carries_no_setpoint_behind_it() -> None:
-    """FA00 alone is a stop for everybody; FA00 and FA01 together are for the owner."""
-    assert not plan(admission(), Verb.WORDS, PLC, own=False, address=0xFA00, words=(0x8000, 5500)).is_stop
-    assert plan(admission(), Verb.WORDS, PLC, own=False, address=0xFA00, words=(0x8000,)).is_stop
+@pytest.mark.parametrize("words", [(0x8000, 5500), (0x0000, 0), (0x8000, 9000), (0x9400, 1, 2)])
+def test_a_stop_of_another_source_carries_nothing_behind_it(words: tuple[int, ...]) -> None:
+    """FA00 alone is a stop for everybody; whatever else stands there is not even looked at."""
+    made = plan(admission(), Verb.WORDS, PLC, own=False, address=0xFA00, words=words)
+    assert made.is_stop
+    assert [write.register.name for write in made.writes] == ["command"]
+    assert made.beside[0] is Reason.NONE
+    assert "left out" in made.beside[1]
+
+
+@pytest.mark.hazard("H04", "H22")
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [((0x8000, 5000), Reason.RANGE), ((0, 5000), Reason.RANGE), ((0x9000, 0, 0), Reason.NOT_IN_MODEL)],
+)
+def test_a_stop_of_the_owner_is_not_lost_by_what_stands_beside_it(words: tuple[int, ...], reason: Reason) -> None:
+    """It alone is written, and then what is wrong is told."""
+    made = plan(admission(frequency={"max": 40.0}), Verb.WORDS, PLC, address=0xFA00, words=words)
+    assert made.is_stop
+    assert [write.register.name for write in made.writes] == ["command"]
+    assert made.beside[0] is reason
+    assert made.beside[1].startswith("stopped; not written: ")
+
+
+@pytest.mark.hazard("H04", "H28")
+@pytest.mark.parametrize("own", [True, False])
+def test_a_raw_stop_needs_no_right(*, own: bool) -> None:
+    """Neither to the verb nor to the register; what stands beside it does. No source, no stop."""
+    rights = [{"source": "mqtt", "name": "panel", "commands": ["words"], "registers": ["frequency_*"], "max": 40}]
+    admitted = admission(right=rights)
+    for source in (STRANGER, PANEL):
+        made = plan(admitted, Verb.WORDS, source, own=own, address=0xFA00, words=(0x8000,))
+        assert made.is_stop
+        made = plan(admitted, Verb.SET, source, own=own, name="command", text="command_priority")
+        assert made.is_stop
+    made = plan(admitted, Verb.WORDS, STRANGER, own=own, address=0xFA00, words=(0x8000, 3000))
+    assert [write.register.name for write in made.writes] == ["command"]
+    made = plan(admitted, Verb.WORDS, PANEL, address=0xFA00, words=(0x8000, 5000))
+    assert made.beside[0] is Reason.NOT_PERMITTED
+    assert refusal(admitted, Verb.WORDS, STRANGER, own=own, address=0xFA00, words=(0x8400,)) is Reason.NOT_PERMITTED
+    assert refusal(admitted, Verb.WORDS, PANEL, own=own, address=0xFA00, words=(0xA000,)) is Reason.NOT_PERMITTED
+    made = plan(admitted, Verb.WORDS, PANEL, own=own, address=0xFA00, words=(0xA800,))
+    assert (made.is_stop, made.is_reset, made.writes[0].word) == (True, False, 0x8800)
+    no_source = admission(sources=["modbus-tcp"])
+    assert refusal(no_source, Verb.WORDS, PANEL, address=0xFA00, words=(0x8000,)) is Reason.NOT_PERMITTED
 
 
 @pytest.mark.hazard("H31")

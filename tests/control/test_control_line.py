@@ -359,15 +359,16 @@ def test_an_adapter_that_is_pulled_out_disarms() -> None:
 
 
 def test_raw_words_without_motion_are_a_stop() -> None:
-    """From any source, ahead of everything, as long as they keep the priority of commands."""
+    """From any source, ahead of everything; only the owner's may give the priority of commands away."""
 
     async def script(stage: Stage) -> None:
         await started(stage)
-        result = await stage.ask(Verb.WORDS, PLC, address=0xFA00, words=(0x8000,))
-        assert result.status is Status.DONE, result
-        assert not stage.bench.drive.inverter.operation.is_running
-        result = await stage.ask(Verb.WORDS, PLC, address=0xFA00, words=(0x0000,))
-        assert result.reason is Reason.NOT_OWNER
+        for source, word, written in ((PLC, 0x8000, 0x8000), (PLC, 0x0000, 0x8000), (DASHBOARD, 0x0000, 0x0000)):
+            assert (await stage.ask(Verb.RUN)).status is Status.DONE
+            result = await stage.ask(Verb.WORDS, source, address=0xFA00, words=(word,))
+            assert result.status is Status.DONE, result
+            assert not stage.bench.drive.inverter.operation.is_running
+            assert result.read_back == {"command": written}
 
     play(script)
 

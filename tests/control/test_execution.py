@@ -211,3 +211,41 @@ def test_what_is_over_stays_over() -> None:
     played.execution.finish(Status.DONE)
     assert played.end == (Status.REFUSED, Reason.STOPPED)
     assert played.sent() is None
+
+
+def test_a_stop_that_was_never_sent_has_written_nothing() -> None:
+    """The audit says "wrote" of words that were on the line, or announced to the whole line."""
+    played = Played(Verb.STOP, is_stop=True)
+    played.execution.finish(Status.REFUSED, Reason.OFFLINE, "gone")
+    assert played.results[0].raw == {}
+    played = Played(Verb.STOP, is_stop=True)
+    played.execution.announced()
+    played.execution.finish(Status.UNKNOWN, Reason.OFFLINE, "gone")
+    assert played.results[0].raw == {"command": 0x8000}
+    played = Played(Verb.STOP, is_stop=True)
+    played.sent()
+    played.execution.finish(Status.UNKNOWN, Reason.OFFLINE, "gone")
+    assert played.results[0].raw == {"command": 0x8000}
+
+
+@pytest.mark.hazard("H22")
+def test_what_stood_beside_a_stop_is_told_when_the_stop_is_done() -> None:
+    """As a failure where it was wrong, but not to who shares the stop; a stop that is not done has its own end."""
+    for reason, end in ((Reason.RANGE, Status.FAILED), (Reason.NONE, Status.DONE)):
+        played = Played(Verb.STOP, is_stop=True)
+        played.execution.beside = (reason, "not written")
+        joined: list[Result] = []
+        other = Command("d1", Verb.STOP, Source(Channel.MODBUS_TCP), 0.0, 1.0)
+        played.execution.joined.append((other, joined.append))
+        played.sent()
+        played.execution.on_reply(Written())
+        played.sent()
+        played.execution.on_reply(Words((0x8000,)))
+        assert played.end == (end, reason)
+        assert played.results[0].text == "not written"
+        assert [(result.status, result.text) for result in joined] == [(Status.DONE, "")]
+        assert played.execution.has_stopped
+    played = Played(Verb.STOP, is_stop=True)
+    played.execution.beside = (Reason.RANGE, "not written")
+    played.execution.finish(Status.UNKNOWN, Reason.NO_ANSWER, "silence")
+    assert played.end == (Status.UNKNOWN, Reason.NO_ANSWER)

@@ -204,7 +204,7 @@ def test_nothing_of_a_write_is_sent_where_any_part_of_it_is_refused() -> None:
     async def script(stage: Stage) -> None:
         assert (await stage.ask(Verb.TAKE)).status is Status.DONE
         watched, begun = Watched(stage), asyncio.get_running_loop().time()
-        result = await stage.ask(Verb.WORDS, address=0xFA00, words=(0x8000, 3000))
+        result = await stage.ask(Verb.WORDS, address=0xFA00, words=(0xC400, 3000))
         assert (result.status, result.reason) == (Status.REFUSED, Reason.NOT_PERMITTED)
         await asyncio.sleep(1.0)
         assert not [frame for frame in watched.frames(begun, begun + 1.0) if frame[1] != READ]

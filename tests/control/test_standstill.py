@@ -105,6 +105,18 @@ def test_a_command_read_after_a_standstill_has_so_much_less_time_left() -> None:
     assert (stop.received, stop.deadline) == (999.6, 1001.0)
 
 
+@pytest.mark.hazard("H11", "H23")
+@pytest.mark.parametrize(("word", "is_taken"), [(0x8000, True), (0x0000, True), (0xC400, False)])
+def test_a_raw_stop_read_after_a_standstill_is_not_too_late(door: Door, word: int, *, is_taken: bool) -> None:
+    """As a typed one is not: it goes to the line, and what starts a motor does not."""
+    stand_still(door, LEASE / 2 + 0.1)
+    now, results = door.clock.now(), list[Result]()
+    command = Command("d1", Verb.WORDS, DASHBOARD, now, now + 1.0, address=0xFA00, words=(word,))
+    door.submit(command, results.append)
+    assert door.controls["d1"].has_stop is is_taken
+    assert [result.reason for result in results] == ([] if is_taken else [Reason.EXPIRED])
+
+
 @pytest.mark.hazard("H23")
 @pytest.mark.parametrize("seconds", [LEASE, 60.0])
 def test_after_a_standstill_longer_than_the_lease_nothing_brings_it_back(door: Door, seconds: float) -> None:

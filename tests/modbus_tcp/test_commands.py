@@ -7,7 +7,7 @@ import struct
 
 import pytest
 
-from gateway.control.command import Reason
+from gateway.control.command import Reason, Status
 from gateway.modbus_tcp.gateway_unit import UNIT
 from gateway.sim.condition import TripCode
 from gateway.sim.faults import Fault, Kind
@@ -93,13 +93,14 @@ def test_17h_writes_first_and_then_reads() -> None:
 
 REFUSED = [
     ("02: in no model", 0xFA02, [0], 2),
-    ("02: a hole among several", COMMAND, [STOP, 0, 0], 2),
+    ("02: a hole among several", COMMAND, [RUN, 0, 0], 2),
     ("02: read only", 0xFD00, [0], 2),
     ("02: forbidden, the number", 0x0802, [2], 2),
     ("02: stored, not allowed", 0x0009, [100], 2),
     ("02: beyond FFFFH", 0xFFFF, [0, 0], 2),
     ("03: beyond the frequency configured", FREQUENCY, [6001], 3),
-    ("03: out of range behind a good one", COMMAND, [STOP, 6001], 3),
+    ("03: out of range behind a good one", COMMAND, [RUN, 6001], 3),
+    ("03: a reset with the run bit", COMMAND, [0xA400], 3),
     ("06: run, not armed", COMMAND, [RUN], 6),
 ]
 
@@ -135,6 +136,103 @@ def test_only_the_owner_commands_but_everybody_may_stop() -> None:
         assert await plant.connect().write_one(1, FREQUENCY, 2000) == 0
         assert await other.write_one(1, COMMAND, STOP) == 0
         assert not plant.is_running()
+
+    play(script)
+
+
+@pytest.mark.hazard("H04")
+@pytest.mark.parametrize("words", [[0x0000], [0x8C00], [0x9400], [STOP, 0], [STOP, 6001], [0, 0, 0]])
+def test_every_raw_stop_of_another_host_is_obeyed(words: list[int]) -> None:
+    """By 06H, 10H and 17H alike; nothing else of it is written, and the terminals do not take over."""
+
+    async def script(plant: Plant) -> None:
+        for ask in range(3 if len(words) == 1 else 2):
+            await running(plant)
+            other, before = plant.connect("10.0.0.8"), plant.word("frequency_command")
+            one = struct.pack(">BHH", 6, COMMAND, words[0])
+            pdu = (several(COMMAND, *words), exchange(0xFD00, 1, COMMAND, *words), one)[ask]
+            plant.written.clear()
+            assert code_of(await other.ask(1, pdu)) == 0
+            assert not plant.is_running()
+            assert [address for _, address, _ in plant.written] == [COMMAND]
+            assert plant.word("command") & 0x8500 == 0x8000
+            assert plant.word("frequency_command") == before
+            if plant.bench.drive.inverter.condition.is_tripped:
+                break
+
+    play(script)
+
+
+@pytest.mark.hazard("H04", "H28")
+def test_a_raw_stop_needs_no_right_but_a_source() -> None:
+    """Of the owner, and of a host without any right; a run word of it is 01 as ever."""
+
+    async def script(plant: Plant) -> None:
+        other = plant.connect("10.0.0.8")
+        for host, words in ((other, [STOP]), (plant.connect(), [STOP]), (other, [STOP, 0])):
+            await running_by_mirror(plant)
+            assert await host.write_words(1, COMMAND, *words) == 0
+            assert not plant.is_running()
+        assert await other.write_one(1, COMMAND, RUN) == 1
+
+    commands = ["take", "arm", "run", "frequency"]
+    play(script, control={"right": [{"source": "modbus-tcp", "name": "10.0.0.7", "commands": commands}]})
+
+
+async def running_by_mirror(plant: Plant) -> None:
+    """Take, arm and run the first drive by the mirror."""
+    master = await armed(plant)
+    assert await master.order("run") == 0
+    assert plant.is_running()
+
+
+@pytest.mark.hazard("H04", "H22")
+@pytest.mark.parametrize(("words", "code"), [([STOP, 7000], 3), ([STOP, 3000, 0], 2), ([0, 6001], 3)])
+def test_a_stop_is_carried_out_although_something_wrong_stands_beside_it(words: list[int], code: int) -> None:
+    """The motor stops; then the exception tells of the words that were not written, and the result of both."""
+
+    async def script(plant: Plant) -> None:
+        master = await running(plant)
+        plant.written.clear()
+        assert await master.write_words(1, COMMAND, *words) == code
+        assert not plant.is_running()
+        assert plant.written == [(1, COMMAND, words[0])]
+        result = plant.results[-1]
+        assert (result.status, result.raw) == (Status.FAILED, {"command": words[0]})
+        assert result.text.startswith("stopped; not written: ")
+
+    play(script)
+
+
+@pytest.mark.hazard("H04")
+def test_a_stop_is_carried_out_although_17h_cannot_read() -> None:
+    """02 afterwards; anything else is not written at all."""
+
+    async def script(plant: Plant) -> None:
+        master = await running(plant)
+        assert await master.ask(1, exchange(0xFD0A, 1, COMMAND, STOP)) == b"\x97\x02"
+        assert not plant.is_running()
+
+    play(script)
+
+
+@pytest.mark.hazard("H10")
+def test_a_stop_goes_first_although_the_lease_is_given_back_behind_it() -> None:
+    """Stop with a setpoint, then release, in one segment: the stop is written until it is read back, nothing else."""
+
+    async def script(plant: Plant) -> None:
+        master = await running(plant)
+        plant.written.clear()
+        plant.bench.wire.faults.add(Fault(Kind.CUT, 1, count=2))
+        stop = master.send(1, several(COMMAND, STOP, 1000))
+        await master.order("release")
+        await asyncio.sleep(2.0)
+        assert not plant.is_running()
+        assert {word for _, address, word in plant.written if address == COMMAND} == {STOP}
+        assert plant.written[0] == (1, COMMAND, STOP)
+        assert plant.written.count((1, COMMAND, STOP)) > 1
+        assert (1, FREQUENCY, 1000) not in plant.written
+        assert code_of(master.told(stop) or b"") == 0
 
     play(script)
 
