@@ -17,6 +17,7 @@ from gateway.drives.model import Model
 from gateway.mqtt import exact
 from gateway.mqtt.exact import NotExact
 from gateway.mqtt.message import Beat, LineStop, Message, Moment, NotTaken
+from gateway.mqtt.stop_words import stop_in, verb_of
 
 COMMAND, SET, HEARTBEAT = "command", "set", "heartbeat"  # levels below a drive that are listened to
 LINE = "line"  # the level before the name of a line
@@ -80,12 +81,15 @@ def read(message: Message, levels: Sequence[str], moment: Moment, model: Model |
             return None
     blank = Command(drive, Verb.SET, Source(Channel.MQTT), moment.now, moment.now + moment.good_for)
     document: dict[str, Any] | str = ""
+    letter = _Letter(levels[-1], message, moment, model, blank)
     try:
         document = exact.document(message.payload)
         if message.is_retained:
             raise NotTaken(Reason.RETAINED, KEPT)
-        return take(_Letter(levels[-1], message, moment, model, blank), document)
+        return take(letter, document)
     except NotExact as error:
+        if not message.is_retained and levels[-1] == COMMAND and (stop := stop_in(message.payload)) is not None:
+            return take(letter, stop)
         reason, text = (Reason.RETAINED, KEPT) if message.is_retained else (Reason.MALFORMED, str(error))
     except NotTaken as error:
         reason, text = error.reason, str(error)
@@ -114,26 +118,20 @@ def _table(document: dict[str, Any] | str) -> dict[str, Any]:
 def _named(blank: Command, table: Mapping[str, Any]) -> Command:
     """Return the command with what of its verb, id and source can be told: enough for a stop, and for an answer."""
     found: dict[str, Any] = {}
-    for key in ("id", "source"):
+    for key, read_one in (("id", exact.identity), ("source", exact.name)):
         try:
-            name = exact.name(table.get(key, ""), key)
+            name = read_one(table.get(key, ""), key)
         except NotExact:
             continue
         found[key] = Source(Channel.MQTT, name) if key == "source" else name
-    verb = _verb(table.get("command"))
+    verb = verb_of(table.get("command"))
     return replace(blank, verb=verb or blank.verb, **found)
-
-
-def _verb(word: object) -> Verb | None:
-    """Return the command of that name, whatever its case: "Emergency-Stop" is one."""
-    known = word.strip().lower().replace("-", "_").replace(" ", "_") if isinstance(word, str) else None
-    return Verb(known) if known in set(Verb) else None
 
 
 def _command(letter: _Letter, document: dict[str, Any] | str) -> Command:
     table = _table(document)
     word = table.get("command")
-    verb = _verb(word)
+    verb = verb_of(word)
     if verb is None:
         raise NotExact(f"command {exact.shown(word)} is not known; known: {', '.join(Verb)}")
     if verb.is_stopping:
@@ -157,19 +155,20 @@ def _line_stop(letter: _Letter, document: dict[str, Any] | str) -> LineStop:
 
 
 def _setting(letter: _Letter, document: dict[str, Any] | str) -> Command:
-    """Read a value to be set: plain, or JSON with `value`."""
+    """Read a value to be set: plain, or JSON with `value`, or with the value's own name as the key."""
     table = {"value": document} if isinstance(document, str) else document
-    exact.known_keys(table, SET_KEYS)
     name = letter.name
     verb = SHORT_NAMES.get(name, Verb.SET)
     named = name if verb is not Verb.SET else _register(letter, name)
-    return replace(_common(letter, table), verb=verb, name=named, **_value(verb, table))
+    own = tuple(dict.fromkeys(key for key in (name, named, *NUMBERS[verb]) if key not in SET_KEYS))
+    exact.known_keys(table, (*SET_KEYS, *own))
+    return replace(_common(letter, table), verb=verb, name=named, **_value(verb, table, own))
 
 
 def _common(letter: _Letter, table: Mapping[str, Any]) -> Command:
     """Read who asks, the id, and until when it is good."""
     source = exact.name(table.get("source", ""), "source")
-    known = exact.name(table.get("id", ""), "id")
+    known = exact.identity(table.get("id", ""), "id")
     if letter.message.is_early:
         raise NotTaken(Reason.EXPIRED, "it came before the subscription was confirmed, perhaps from an earlier one")
     if letter.message.is_repeated and not known:
@@ -207,9 +206,10 @@ def _is_reverse(table: Mapping[str, Any]) -> bool:
     said = set()
     if "direction" in table:
         direction = table["direction"]
-        if not isinstance(direction, str) or direction not in DIRECTIONS:
+        is_reverse = DIRECTIONS.get(direction.strip().lower()) if isinstance(direction, str) else None
+        if is_reverse is None:
             raise NotExact(f"direction {exact.shown(direction)}: forward or reverse")
-        said.add(DIRECTIONS[direction])
+        said.add(is_reverse)
     if "reverse" in table:
         said.add(exact.boolean(table["reverse"], "reverse"))
     if len(said) > 1:
@@ -217,9 +217,9 @@ def _is_reverse(table: Mapping[str, Any]) -> bool:
     return True in said
 
 
-def _value(verb: Verb, table: Mapping[str, Any]) -> dict[str, Any]:
-    """Read a command's number, or the words of a code or of bits."""
-    keys = NUMBERS.get(verb, ())
+def _value(verb: Verb, table: Mapping[str, Any], own: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Read a command's number, or the words of a code or of bits; `own` are more keys that it may stand at."""
+    keys = tuple(dict.fromkeys((*own, *NUMBERS.get(verb, ()))))
     given = [key for key in keys if key in table]
     if len(given) > 1:
         raise NotExact(f"only one of {', '.join(given)}")

@@ -129,6 +129,13 @@ def name(value: object, what: str) -> str:
     raise NotExact(f"{what} {shown(value)}: a printable text of at most {LONGEST_NAME} characters is wanted")
 
 
+def identity(value: object, what: str) -> str:
+    """Return an id: a name, any number as it was written, or "" for null."""
+    if value is None:
+        return ""
+    return str(value) if isinstance(value, Decimal) else name(value, what)
+
+
 def moment(value: object, what: str) -> float:
     """Return UTC seconds since 1970 from ISO 8601 (UTC where it names no offset), from seconds or milliseconds."""
     if isinstance(value, Decimal) and 0 <= value < LATEST:

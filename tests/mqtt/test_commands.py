@@ -56,6 +56,8 @@ def refusal(topic: str, payload: object, **more: Any) -> Result:
         ({"command": "run", "frequency": 30.0}, {"verb": Verb.RUN, "value": Decimal("30.0")}),
         ({"command": "run", "frequency": "30"}, {"verb": Verb.RUN, "value": Decimal("30")}),
         ({"command": "run", "direction": "reverse"}, {"verb": Verb.RUN, "is_reverse": True}),
+        ({"command": "run", "direction": "Reverse"}, {"verb": Verb.RUN, "is_reverse": True}),
+        ({"command": "run", "direction": " FORWARD "}, {"verb": Verb.RUN}),
         ({"command": "run", "reverse": True}, {"verb": Verb.RUN, "is_reverse": True}),
         ({"command": "run", "reverse": False, "direction": "forward"}, {"verb": Verb.RUN}),
         ({"command": "jog", "direction": "reverse"}, {"verb": Verb.JOG, "is_reverse": True}),
@@ -89,6 +91,11 @@ def test_every_command_has_its_payload(payload: object, wanted: dict[str, Any]) 
         ("set/speed", "-1450", {"verb": Verb.SPEED, "name": "speed", "value": Decimal(-1450)}),
         ("set/preset", {"value": "3"}, {"verb": Verb.PRESET, "name": "preset", "value": Decimal(3)}),
         ("set/frequency_command", {"value": 5}, {"verb": Verb.SET, "name": "frequency_command", "value": Decimal(5)}),
+        ("set/frequency", {"frequency": 30}, {"verb": Verb.FREQUENCY, "name": "frequency", "value": Decimal(30)}),
+        ("set/preset", {"preset": 3}, {"verb": Verb.PRESET, "name": "preset", "value": Decimal(3)}),
+        ("set/preset", {"number": 3}, {"verb": Verb.PRESET, "name": "preset", "value": Decimal(3)}),
+        ("set/FA01", {"FA01": 5}, {"verb": Verb.SET, "name": "frequency_command", "value": Decimal(5)}),
+        ("set/FA01", {"frequency_command": 5}, {"verb": Verb.SET, "name": "frequency_command", "value": Decimal(5)}),
         ("set/FA01", "5", {"verb": Verb.SET, "name": "frequency_command", "value": Decimal(5)}),
         ("set/0xFA01", "5", {"verb": Verb.SET, "name": "frequency_command", "value": Decimal(5)}),
         ("set/FA01H", "5", {"verb": Verb.SET, "name": "frequency_command", "value": Decimal(5)}),
@@ -123,7 +130,10 @@ def test_the_id_is_passed_on() -> None:
     assert command("pump-1/set/frequency", {"value": 3, "id": 42}).id == "42"
     assert refusal("pump-1/command", {"command": "rum", "id": "42"}).command.id == "42"
     assert refusal("pump-1/command", {"command": "run", "id": "42"}, is_retained=True).command.id == "42"
-    assert refusal("pump-1/command", {"command": "run", "id": 4.2}).reason is Reason.MALFORMED
+    assert command("pump-1/command", {"command": "run", "id": 4.2}).id == "4.2"
+    assert command("pump-1/command", {"command": "run", "id": None}).id == ""
+    assert command("pump-1/command", {"command": "stop", "id": 4.2}).id == "4.2"
+    assert refusal("pump-1/command", {"command": "run", "id": True}).reason is Reason.MALFORMED
 
 
 @pytest.mark.hazard("H03")
@@ -197,6 +207,70 @@ def test_a_stop_is_taken_whatever_else_is_said(verb: Verb) -> None:
     assert refusal("pump-1/command", f'{{"command": "{verb}", "command": "run"}}').reason is Reason.MALFORMED
 
 
+@pytest.mark.hazard("H24")
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"\xef\xbb\xbfstop",
+        b"stop\0",
+        b"stop\r\n\0",
+        b"\0\0stop!",
+        b'["stop"]',
+        b"'Stop'",
+        b'{"command": ["stop"]}',
+        b'[{"command": "stop"}]',
+        b'{"Command": "STOP"}',
+        b'{"command": "stop", "command": "stop", "id": 1, "id": 1}',
+        b'{"command": "stop", "id": 1, "id": 2}',
+        b'\xef\xbb\xbf{"command": "stop"}\0\n',
+        b'{"command": "stop\\u0000"}',
+        b'{"command": "stop", "n": NaN}',
+        b'{"command": "stop", "n": 1e999999999999999999999}',
+        b'{"command": "stop"',
+        b"{command: 'stop'}",
+        b'{"command": "stop", "text": "\xff"}',
+        b'{"command": "stop", "text": "' + b"x" * 5000 + b'"}',
+        b'{"command": "stop", "x": ' + b"[" * 2000,
+        "stop".encode("utf-16"),
+        '{"command": "stop"}'.encode("utf-16-le"),
+    ],
+)
+def test_nothing_odd_about_a_payload_hides_a_stop(payload: bytes) -> None:
+    """For a drive and for a line; only a retained one is refused."""
+    assert command("pump-1/command", payload).verb is Verb.STOP
+    found = read("line/a/command", payload)
+    assert isinstance(found, LineStop)
+    assert found.command.verb is Verb.STOP
+    assert refusal("pump-1/command", payload, is_retained=True).reason is Reason.RETAINED
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"\xef\xbb\xbfrun",
+        b'["run"]',
+        b'["stop", "run"]',
+        b"nonstop",
+        b"stop run",
+        b"st\xffop",
+        b'{"command": "run", "command": "stop"}',
+        b'{"command": "run", "command": "stop"',
+        b'{"command": "run", "note": {"command": "stop"}}',
+        b'{"command": "run", "note": "command: stop"}',
+        b'{"note": {"command": "stop"}}',
+        b'{"stop": true}',
+        b'{"command": [["stop"]]}',
+        b"[]",
+        b"null",
+        b"7",
+    ],
+)
+def test_no_stop_is_made_of_what_is_none(payload: bytes) -> None:
+    """Nor anything else of what is not exact."""
+    assert refusal("pump-1/command", payload).reason is Reason.MALFORMED
+    assert refusal("pump-1/set/frequency", b"\xef\xbb\xbfstop").reason is Reason.MALFORMED
+
+
 @pytest.mark.parametrize(
     ("payload", "words"),
     [
@@ -233,7 +307,11 @@ def test_what_is_not_understood_is_refused_in_words(payload: object, words: str)
     assert words in found.text
 
 
-@pytest.mark.parametrize("payload", ["", "fast", True, "nan", {"values": 3}, {"value": 3, "unit": "Hz"}, "1_000", {}])
+@pytest.mark.parametrize(
+    "payload",
+    ["", "fast", True, "nan", {"values": 3}, {"speed": 3}, {"frequency": 3, "value": 3}, {"value": 3, "unit": "Hz"},
+     "1_000", {}],
+)  # fmt: skip
 def test_a_setpoint_is_a_number(payload: object) -> None:
     """Nothing else."""
     assert refusal("pump-1/set/frequency", payload).reason is Reason.MALFORMED

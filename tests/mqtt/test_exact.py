@@ -110,6 +110,16 @@ def test_names_are_short_and_printable() -> None:
             exact.name(wrong, "id")
 
 
+def test_an_id_is_a_name_or_any_number_or_none() -> None:
+    """As counters and times of many languages are."""
+    for value, found in (("a7", "a7"), (Decimal(42), "42"), (Decimal("4.20"), "4.20"), (None, ""), ("", "")):
+        assert exact.identity(value, "id") == found
+    wrong: object
+    for wrong in ("a\nb", "x" * 129, True, ["a"], {}):
+        with pytest.raises(NotExact, match=r"id .*: a printable text of at most 128"):
+            exact.identity(wrong, "id")
+
+
 def test_times_name_their_offset_or_are_utc() -> None:
     """ISO 8601 and seconds; milliseconds as JavaScript has them."""
     noon = 1_772_366_400.0
