@@ -10,6 +10,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from gateway.control.command import Answer, Command, Reason, Result, Source, Status, Verb
+from gateway.control.composing import COMMAND
 
 MOST = 16  # commands of one drive
 SETPOINTS = (Verb.FREQUENCY, Verb.SPEED, Verb.ANALOG, Verb.TERMINALS, Verb.SET)  # of which only the newest matters
@@ -80,8 +81,9 @@ def _place_of_older(queue: deque[Waiting], command: Command) -> int | None:
 
 
 def _setpoint(command: Command) -> tuple[Verb, str, Source] | None:
-    """Return what a command sets, and who; None where it is more than a setpoint."""
-    return (command.verb, command.name, command.source) if command.verb in SETPOINTS else None
+    """Return what a command sets, and who; None where it is more than a setpoint, as the command word is."""
+    is_setpoint = command.verb in SETPOINTS and not (command.verb is Verb.SET and command.name == COMMAND)
+    return (command.verb, command.name, command.source) if is_setpoint else None
 
 
 @dataclass(slots=True)

@@ -57,9 +57,10 @@ class Intake:
     def _take(self, waiting: Waiting) -> None:
         """Hand a stop on at once, and let anything else wait for its turn."""
         command = waiting.command
-        if command.drive not in self._door.controls:
+        control = self._door.controls.get(command.drive)
+        if control is None:
             self._turn_away(waiting)
-        elif command.verb.is_stopping:
+        elif control.state.admission.is_stop(command):
             self._hand_over_all(command.drive)
             self._door.submit(command, waiting.answer)
         elif not self._superseded[command.drive].is_known(command, partial(self._refuse, waiting)):

@@ -50,6 +50,14 @@ def test_of_a_setpoint_the_newest_waits_in_the_place_of_the_oldest(verb: Verb) -
     assert drained(inbox) == [newer, between]
 
 
+def test_the_command_word_is_no_setpoint() -> None:
+    """A raw word that runs, one that stops and a newer one that runs are three commands."""
+    inbox = Inbox()
+    order = [asked(Verb.SET, name="command", value=word) for word in (0xC400, 0x8000, 0xC400)]
+    assert [inbox.put(waiting) for waiting in order] == [None] * 3
+    assert drained(inbox) == order
+
+
 def test_a_setpoint_does_not_reach_over_another_command() -> None:
     """A motor that was to start at 10 Hz does not start at 20 Hz."""
     inbox = Inbox()

@@ -146,6 +146,34 @@ def test_a_stop_is_at_the_door_before_anybody_asks_for_it(verb: str) -> None:
     assert gate.verbs == [Verb(verb)]
 
 
+@pytest.mark.hazard("H29")
+@pytest.mark.hazard("H24")
+@pytest.mark.parametrize(
+    ("topic", "payload"),
+    [
+        ("set/FA00", "0x8000"),
+        ("set/FA00", 0),
+        ("set/command", "coast+run+command_priority"),
+        ("command", {"command": "set", "name": "FA00", "value": 32768}),
+        ("command", {"command": "words", "address": "FA00", "words": ["8000H", 3000]}),
+        ("command", b"\xef\xbb\xbf[\"stop\"]\0"),
+    ],
+)
+def test_a_stop_in_other_words_is_at_the_door_before_anybody_asks_for_it(topic: str, payload: object) -> None:
+    """Raw, or odd: not behind sixteen commands, and a newer word of the same register does not take its place."""
+    gate = Gate()
+    for _ in range(2 * MOST):
+        gate.send(f"{LEASED}/command", "run")
+    gate.send(f"{LEASED}/{topic}", payload.encode() if isinstance(payload, str) else payload)
+    assert len(gate.verbs) == MOST + 1
+    assert gate.verbs[-1] in (Verb.SET, Verb.WORDS, Verb.STOP)
+    gate.send(f"{LEASED}/set/FA00", b"0xC400")
+    assert len(gate.verbs) == MOST + 1
+    gate.hand_over()
+    assert len(gate.verbs) == MOST + 2
+    assert gate.stats.refused == {"busy": MOST}
+
+
 @pytest.mark.hazard("H10")
 def test_a_stop_takes_what_came_before_it_to_the_door() -> None:
     """So that the door can end it: nothing older is done after the stop."""
