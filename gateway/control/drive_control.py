@@ -291,7 +291,6 @@ class DriveControl:
             self.resets.on_reset(CLEARED)  # nothing else ends a trip: what it had in its RAM is gone (7.1)
         if not is_tripped:
             return
-        state.may_move = False
         for execution in tuple(state.queue.executions):
             execution.on_tripped()
             self._settle(execution)

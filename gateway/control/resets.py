@@ -44,10 +44,9 @@ class Resets:
         return self._asked is not None
 
     def on_reset(self, reason: str = RESET) -> None:
-        """Take that the drive was reset: it is set up anew, and armed anew."""
+        """Take that the drive was reset: it is set up anew, and armed anew. Whether it stands is seen then."""
         state = self.state
         state.needs_set_up, state.is_marked = True, False
-        state.may_move = False
         self._to_observe = []
         self.is_stop_lost |= state.queue.has_stop
         state.queue.clear(Reason.OFFLINE, reason)

@@ -98,14 +98,21 @@ class Queue:
         if head is None or head.strength < 0:
             self.clear(Reason.STOPPED, text)
         elif head.strength < execution.strength:
-            self.executions.popleft()
-            execution.joined.extend(head.taken_over())
+            self._share(head, execution)
             self.clear(Reason.STOPPED, text)
         else:
             self.clear_but_stops(Reason.STOPPED, text)
-            head.joined.extend(execution.taken_over())
+            self._share(execution, head)
             return
         self.executions.appendleft(execution)
+
+    def _share(self, weaker: Execution, stronger: Execution) -> None:
+        """Let who asked for a stop have the result of a stronger one; with other words beside it, it is ended."""
+        if len(weaker.writes) > 1:
+            self.end(weaker, Reason.STOPPED, f"{stronger.command.verb} came from {stronger.command.source}")
+            return
+        self.remove(weaker)
+        stronger.joined.extend(weaker.taken_over())
 
     def joins(self, command: Command, answer: Answer) -> bool:
         """Let an equal stop share the one that is under way: a flood of stops must not begin it again and again."""

@@ -85,7 +85,7 @@ STANDINGS: Mapping[Standing, int] = {
     Standing.LOST: 3,
     Standing.QUIET: 4,
 }
-OWNERS: Mapping[Channel, int] = {Channel.MQTT: 1, Channel.MODBUS_TCP: 2, Channel.GATEWAY: 3}
+OWNERS: Mapping[Channel, int] = {Channel.MQTT: 1, Channel.MODBUS_TCP: 2, Channel.GATEWAY: 3, Channel.SPARKPLUG: 4}
 REASONS: Mapping[Reason, int] = {
     Reason.NONE: 0,
     Reason.MALFORMED: 1,

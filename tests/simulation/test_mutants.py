@@ -10,7 +10,7 @@ from unittest import mock
 import pytest
 
 from gateway.bus.serial_line import DescriptorLine
-from gateway.control.command import Status
+from gateway.control.command import Command, Status
 from gateway.control.door import Door
 from gateway.control.drive_control import DriveControl
 from gateway.control.execution import Execution
@@ -19,12 +19,12 @@ from gateway.control.loss import Loss
 from gateway.control.results import Results
 from gateway.control.state import DriveState
 from gateway.image import DriveImage, Image, Quality, Sample
-from gateway.mqtt.listener import Listener
+from gateway.mqtt import commands
 from gateway.mqtt.message import Message
 from tests.simulation import trial
 
 pytestmark = pytest.mark.played
-SEEDS = 40  # trials at the most until a mutant is found out
+SEEDS = 200  # trials at the most until a mutant is found out
 
 _sample = DriveImage.sample
 
@@ -57,12 +57,12 @@ def zero(*_: Any, **__: Any) -> float:
     return 0.0
 
 
-_hear = Listener.hear
+_read = commands.read
 
 
-def fresh(listener: Listener, message: Message) -> None:
-    """Hear what the broker had kept as if it had just been sent."""
-    _hear(listener, replace(message, is_retained=False))
+def fresh(message: Message, *more: Any) -> Any:
+    """Read what the broker had kept as if it had just been sent."""
+    return _read(replace(message, is_retained=False), *more)
 
 
 def done(execution: Execution, _text: str) -> None:
@@ -85,11 +85,22 @@ class Mutant:
 
     owner: Any
     name: str
-    replaced: Callable[..., Any] | property
+    replaced: Callable[..., Any] | property | Endless
     scenario: str
     said: str
 
 
+class Endless:
+    """An attribute of a command that is always far in the future, whatever it is set to."""
+
+    def __get__(self, *_: object) -> float:
+        return 1e9
+
+    def __set__(self, *_: object) -> None:
+        """Keep nothing."""
+
+
+ENDLESS = Endless()
 YES, NO = property(lambda _: True), property(lambda _: False)
 
 MUTANTS = {
@@ -98,7 +109,7 @@ MUTANTS = {
     "nothing is done for a lost lease": Mutant(Loss, "_do", nothing, "death in every state", "beyond permission"),
     "a drive to be left alone is polled": Mutant(DriveControl, "is_quiet", NO, "noise on the line", "is left alone"),
     "nobody has to arm": Mutant(DriveControl, "_check_state", nothing, "two fight", "never armed"),
-    "commands have no deadline": Mutant(Execution, "look_at", nothing, "noise on the line", "after it was asked for"),
+    "commands have no deadline": Mutant(Command, "deadline", ENDLESS, "gateway frozen", "after it was asked for"),
     "a standstill is not noticed": Mutant(Door, "_stood_still", zero, "gateway frozen", "after it was asked for"),
     "it ends without stopping": Mutant(Door, "leave", nothing, "terminated", "beyond permission"),
     "old values are good": Mutant(DriveImage, "sample", always_good, "adapter unplugged", "shown as good"),
@@ -106,7 +117,7 @@ MUTANTS = {
     "a command may have no result": Mutant(Execution, "finish", nothing, "two fight", "has no result"),
     "all is called done": Mutant(Execution, "on_silence", done, "noise on the line", "is called done"),
     "a known id is new": Mutant(Results, "is_known", no, "broker fails", "times for one command"),
-    "retained commands count": Mutant(Listener, "hear", fresh, "broker fails", "nobody has asked for it"),
+    "retained commands count": Mutant(commands, "read", fresh, "broker fails", "nobody has asked for it"),
     "a task dies": Mutant(Image, "sweep", broken, "flood", "ended by itself"),
 }
 
