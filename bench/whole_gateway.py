@@ -57,6 +57,7 @@ class More:
     of_line: str = ""
     of_drive: str = ""
     of_broker: tuple[str, ...] = BROKER
+    polls: str = f'{{ values = {FIVE}, every = "0s" }}'
 
 
 @contextlib.contextmanager
@@ -84,7 +85,7 @@ def _file(port: str, baud: int, drives: int, ports: Ports, more: More) -> Iterat
     yield f'[[line]]\nname = "a"\nport = "{port}"\nbaud = {baud}\nparity = "even"\n{more.of_line}'
     for number in range(1, drives + 1):
         yield f'[[line.drive]]\nname = "{drive_name(number)}"\nnumber = {number}\nmodel = "vf-nc3"\n{more.of_drive}'
-        yield f'poll = [{{ values = {FIVE}, every = "0s" }}]\n'
+        yield f"poll = [{more.polls}]\n"
 
 
 def until(condition: Callable[[], bool], what: str) -> None:

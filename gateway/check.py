@@ -10,7 +10,7 @@ from pathlib import Path
 from gateway import check_control, site
 from gateway.bus import fitting, groups, refresh, traffic
 from gateway.bus.blocks import PlannedRead
-from gateway.bus.plan import DrivePlan, plan_drive
+from gateway.bus.plan import DrivePlan, exchanges, plan_drive
 from gateway.bus.response import Traffic
 from gateway.errors import BadConfig
 from gateway.protocol.pdu import ReadBlock
@@ -20,6 +20,8 @@ from gateway.site import Line, Site
 log = logging.getLogger("gateway")
 
 FULL = 1.0  # share of the line
+EXCHANGE_TAKES = 0.0006  # seconds of a processor for one exchange: python -m bench.many_lines
+BUSY = 0.7  # of a core: beyond it lines wait for each other
 
 
 def load(path: Path) -> Site:
@@ -49,8 +51,23 @@ def report(configured: Site) -> Iterator[str]:
     """Yield the plan of a site as lines of text."""
     name, lines, drives = configured.config.gateway.name, configured.lines, configured.drives
     yield f"gateway {name}: {len(lines)} lines, {len(drives)} drives"
+    yield from _processor(lines)
     for line in lines:
         yield from _line(line)
+
+
+def _processor(lines: Sequence[Line]) -> Iterator[str]:
+    """Say what one process has to do: it uses one core, however many there are."""
+    plans = ([plan_drive(drive, line, with_selectors=True) for drive in line.drives] for line in lines)
+    rate = sum(map(exchanges, plans))
+    share = rate * EXCHANGE_TAKES
+    took = f"{EXCHANGE_TAKES * 1000:.1f} ms each, as measured on a PC"
+    yield f"about {rate:.0f} exchanges a second: {share:.0%} of a core, at {took} (docs/scaling.md)"
+    if share > BUSY:
+        yield (
+            f"TOO MUCH FOR ONE PROCESS: more than {BUSY:.0%} of a core. Give the lines to several processes"
+            f" (about {share / BUSY + 0.5:.0f}), each with a file and a gateway.name of its own: docs/scaling.md"
+        )
 
 
 def _line(line: Line) -> Iterator[str]:

@@ -298,3 +298,26 @@ def test_the_examples_are_kept() -> None:
     """Whoever begins with them is not refused."""
     for file in sorted((Path(__file__).parents[1] / "config").glob("*.toml")):
         check.refuse(check.load(file), file)
+
+
+def test_what_one_process_cannot_carry_is_said() -> None:
+    """32 full lines are more than a core; a few drives are next to nothing."""
+
+    def told(lines: int, every: str) -> str:
+        poll = [{"values": ["status", "output_frequency"], "every": every}]
+        tables = [
+            {
+                "name": f"l{n}",
+                "port": f"/dev/ttyS{n}",
+                "baud": 38400,
+                "drive": [{"name": f"d{n}", "number": 1, "unit": n + 1, "model": "vf-nc3", "poll": poll}],
+            }
+            for n in range(lines)
+        ]
+        made = site.build({"gateway": {"name": "t"}, "line": tables}, "test", Path())
+        return "\n".join(list(check.report(made))[:3])
+
+    assert "about 2 exchanges a second: 0% of a core" in told(1, "500ms")
+    assert "TOO MUCH FOR ONE PROCESS" not in told(1, "0s")
+    assert "TOO MUCH FOR ONE PROCESS" in told(32, "0s")
+    assert "(about 2)" in told(32, "0s")

@@ -8,8 +8,9 @@ import subprocess
 from pathlib import Path
 
 import pytest
+import yaml
 
-from gateway import cli
+from gateway import cli, site
 from gateway.config import ModbusTcpSection, WebSection, address
 from gateway.trace import place
 
@@ -117,3 +118,28 @@ def test_every_file_that_is_copied_exists() -> None:
     assert len(named) >= 4
     for name in copied + named:
         assert (ROOT / name).exists(), name
+
+
+def test_the_lines_of_the_compose_file_do_not_get_into_each_others_way() -> None:
+    """Each has a right file, a name, a port on the host and a store of its own; what it mounts is where it looks."""
+    folder = ROOT / "deploy"
+    services = yaml.safe_load((folder / "compose.lines.yaml").read_text(encoding="utf-8"))["services"]
+    lines = {name: service for name, service in services.items() if name != "broker"}
+    assert len(lines) > 1
+    sites, stores, ports = [], set(), []
+    for name, service in lines.items():
+        config, store = (volume.split(":") for volume in service["volumes"])
+        assert config[0] == f"./lines/{name}.toml"
+        made = site.load(folder / config[0])
+        assert config[1] in DOCKERFILE
+        assert made.config.store.path is not None
+        assert Path(made.config.store.path).parent == Path(store[1])
+        assert made.config.mqtt is not None
+        assert made.config.mqtt.url == "mqtt://broker:1883"
+        assert {port.split(":")[1] for port in service["ports"]} == {"5020", "8080"}
+        sites.append(made)
+        stores.add(store[0])
+        ports += [port.split(":")[0] for port in service["ports"]]
+    names, wires = {made.config.gateway.name for made in sites}, {made.lines[0].port for made in sites}
+    assert len(names) == len(wires) == len(stores) == len(lines)
+    assert len(set(ports)) == len(ports)

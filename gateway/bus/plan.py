@@ -40,6 +40,16 @@ class DrivePlan:
         return any(isinstance(read.request, ReadBlock) for _, reads in self.groups for read in reads)
 
 
+def exchanges(plans: Sequence[DrivePlan]) -> float:
+    """Return how many exchanges a second polling comes to on one line, as far as the line carries them."""
+    timed = sum(len(reads) / group.period for plan in plans for group, reads in plan.groups if group.period)
+    load, turn = sum(plan.load for plan in plans), sum(plan.round for plan in plans)
+    if load >= 1.0:
+        return timed / load
+    count = sum(len(reads) for plan in plans for group, reads in plan.groups if not group.period)
+    return timed + (count * (1.0 - load) / turn if turn else 0.0)
+
+
 def plan_drive(drive: Drive, line: Line, *, with_selectors: bool) -> DrivePlan:
     """Plan a drive as it is shipped (no selectors set), or with the best selectors set."""
     processing = drive.model.times.processing + drive.wait_time
