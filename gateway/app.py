@@ -57,6 +57,7 @@ class App:
     ) -> None:
         self.site = site
         self.successor: Site | None = None
+        self.has_started = False  # all its ports were to be had
         self.clock = clock or SystemClock()
         self.store = Store.of(site, self.clock) if ledger is None else None
         self._load = load
@@ -170,6 +171,7 @@ class App:
             for server in servers:
                 await server.start()
                 started.append(server)
+            self.has_started = True
             await self._run_tasks()
         finally:
             systemd.notify("STOPPING=1")

@@ -117,8 +117,11 @@ def _advice(
     if undisturbed.is_kept:
         yield "  Every poll is answered before it falls due again, whatever falls together, while all drives answer."
         return
-    if load <= FULL:
-        late = ", ".join(_period(period) for period in undisturbed.late)
+    asked = {group.period for plan in best for group, _ in plan.groups}
+    late = ", ".join(_period(period) for period in undisturbed.late if period in asked)
+    if load <= FULL and undisturbed.load > FULL:
+        yield f"  ALWAYS LATE: with the checks of blocks and F803 the line is asked for {undisturbed.load:.0%} of it."
+    elif load <= FULL and late:
         yield f"  LATE AT TIMES: polls {late}, when much falls together: how late, see below."
     ways = "; or ".join(fitting.ways(line, best, undisturbed))
     yield f"  In time whatever falls together: {ways}." if ways else "  No period is long enough: ask for less."

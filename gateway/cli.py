@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import sys
 from enum import StrEnum
 from pathlib import Path
@@ -27,6 +28,8 @@ from gateway.sparkplug import topics as sparkplug_topics
 from gateway.store import commands as store
 from gateway.trace import commands as trace
 from gateway.trace.tracing import Tracing
+
+log = logging.getLogger("gateway")
 
 EXIT_UNAVAILABLE = 69  # sysexits(3): the numbers that service managers know
 EXIT_SOFTWARE = 70
@@ -113,12 +116,21 @@ async def _run(configured: site.Site, file: Path, record: Path | None) -> None:
     """Run the gateway; at SIGHUP with the file as it is then."""
     logs.watch_loop(asyncio.get_running_loop())
     successor: site.Site | None = configured
+    before: site.Site | None = None  # what ran well, and is gone back to
     while successor is not None:
         check.warn(successor, file)
-        tracing = Tracing(successor, record=record, is_continued=successor is not configured)
-        gateway = App(successor, load=lambda: check.load(file), tracing=tracing)
-        await gateway.run()
-        successor = gateway.successor
+        running, gateway = successor, None
+        try:
+            tracing = Tracing(running, record=record, is_continued=running is not configured)
+            gateway = App(running, load=lambda: check.load(file), tracing=tracing)
+            await gateway.run()
+        except GatewayError as error:
+            if before is None or (gateway is not None and gateway.has_started):
+                raise
+            log.error("not reloaded, the gateway goes back to what it was: %s", error)
+            successor, before = before, None
+        else:
+            successor, before = gateway.successor, running
 
 
 @app.command("check")

@@ -46,13 +46,31 @@ DISPLAY_NOTE = "FA80 is 1: the block carries the display's text; it is not used"
 TRIP_REGISTERS = ("trip_code", "status")  # FC90, FD01: what is read at once when a drive trips or no longer does
 
 
+def phases(drives: Sequence[Drive]) -> dict[str, dict[float, float]]:
+    """Return by drive and period which part of the period its polls are shifted by: evenly, whoever else there is."""
+    found: dict[str, dict[float, float]] = {drive.name: {} for drive in drives}
+    for period in {group.period for drive in drives for group in drive.groups}:
+        having = [drive for drive in drives if any(group.period == period for group in drive.groups)]
+        for place, drive in enumerate(having):
+            found[drive.name][period] = place / len(having)
+    return found
+
+
 class DriveReader:
     """The reading of one drive on its line, the one at `place` of so many.
 
-    That shifts its polls against those of its neighbours, and says how much of the line its checks may take.
+    That says how much of the line its checks may take, and shifts its polls against those of its neighbours; `phases`
+    (period -> 0 to 1) does so for each period among the drives that have it.
     """
 
-    def __init__(self, drive: Drive, planner: Planner, place: int = 0, drives: int = 1) -> None:
+    def __init__(
+        self,
+        drive: Drive,
+        planner: Planner,
+        place: int = 0,
+        drives: int = 1,
+        phases: Mapping[float, float] | None = None,
+    ) -> None:
         self.drive = drive
         self.facts: dict[str, int] = {}
         self.able = Abilities()
@@ -60,6 +78,7 @@ class DriveReader:
         self.absent: set[str] = set()
         self._planner = planner
         self._phase = place / drives
+        self._phases = phases or {}
         self._drives = drives
         self._missing: list[Register] = []
         self._who = Identification(drive)
@@ -71,6 +90,7 @@ class DriveReader:
         self._before: BlockMapping | None = None  # what was in force before the selectors were provisioned
         self._is_to_be_read_back = False
         self._silent_blocks = 0
+        self._silent_polls = 0
         self._busy_blocks = 0
         self._no_text: tuple[int, ...] = ()  # the last block that looked like the display's text and was none
         self._no_text_until = float("-inf")
@@ -366,7 +386,7 @@ class DriveReader:
         """Return the jobs of this drive, spread over their periods."""
         jobs = []
         for group, reads in self.plan():
-            offsets = spread(len(reads), group.period, self._phase)
+            offsets = spread(len(reads), group.period, self._phases.get(group.period, self._phase))
             for read, offset in zip(reads, offsets, strict=True):
                 due = on_grid(offset, group.period, now) if group.period else now
                 work = Work(Task.POLL, read.request, read)
@@ -424,7 +444,7 @@ class DriveReader:
 
     def _polled(self, read: PlannedRead, words: Sequence[int], now: float) -> Learnt:
         if isinstance(read.request, ReadBlock):
-            self._busy_blocks = 0
+            self._busy_blocks = self._silent_polls = 0
             if self._may_be_text(read, words, now):
                 self._no_text = tuple(words)  # believed from the answer on that FA80 is 0
                 register = self.drive.model.registers[BLOCK_MODE]
@@ -539,7 +559,18 @@ class DriveReader:
         read = self._alone(status)
         return Work(Task.TRIP, read.request, read)
 
-    # ---- refusals
+    # ---- silence and refusals
+
+    def on_silence(self, work: Work, now: float) -> Learnt:
+        """Take that a poll was not answered: a block is given up after some in a row, though the drive is there."""
+        if work.task is not Task.POLL or not isinstance(work.request, ReadBlock) or self.able.mapping is None:
+            return Learnt()
+        self._silent_polls += 1
+        if self._silent_polls < SILENT_BLOCKS:
+            return Learnt()
+        self._silent_polls = 0
+        self.able = replace(self.able, mapping=None)
+        return Learnt(jobs=self.polls(now), notes=["the block is not answered any more; other reads instead"])
 
     def on_refused(self, work: Work, sent: Request, refused: Refused, now: float) -> Learnt:
         """Take a refusal of what was sent: remember it, and serve the values another way."""

@@ -25,6 +25,7 @@ class Job(Generic[Work]):
     due: float
     deadline: float
     waits_since: float = float("-inf")
+    on_grid: float | None = None  # when it was due before it was held: its place among the others
 
     def may_begin(self, now: float) -> bool:
         """Say whether it may be done, urgent or not."""
@@ -95,6 +96,7 @@ class Schedule(Generic[Work]):
             if job.period == 0:
                 job.waits_since = max(job.waits_since, until)
             elif job.deadline != AHEAD and job.due < until:
+                job.on_grid = job.due if job.on_grid is None else job.on_grid
                 job.due = until
                 job.deadline = max(job.deadline, until)
 
@@ -106,6 +108,15 @@ class Schedule(Generic[Work]):
         """Return the job of a drive that may be done and has the earliest deadline."""
         due = (job for job in self._jobs.get(drive, ()) if job.may_begin(now))
         return min(due, key=lambda job: job.deadline, default=None)
+
+    def has_overdue(self, now: float) -> bool:
+        """Say whether a poll that may be done should have been done by now."""
+        return any(
+            job.deadline < now and job.deadline != AHEAD and job.may_begin(now)
+            for drive, jobs in self._jobs.items()
+            if drive not in self._suspended
+            for job in jobs
+        )
 
     def jobs(self, drive: str) -> tuple[Job[Work], ...]:
         """Return the jobs of a drive."""
@@ -178,8 +189,9 @@ class Schedule(Generic[Work]):
                 job.due = max(now, job.deadline)
                 job.deadline = job.due + self.turn
         else:
-            missed = int(max(0.0, now - job.due) / job.period)
-            job.due += (missed + 1) * job.period
+            begun, job.on_grid = job.due if job.on_grid is None else job.on_grid, None
+            missed = int(max(0.0, now - begun) / job.period)
+            job.due = begun + (missed + 1) * job.period
             job.deadline = job.due + job.period
 
 

@@ -15,7 +15,7 @@ from gateway.bus.keepalive import Keepalive
 from gateway.bus.line import Line
 from gateway.bus.link import Heard, Link
 from gateway.bus.plan import plan_drive
-from gateway.bus.reader import DriveReader
+from gateway.bus.reader import DriveReader, phases
 from gateway.bus.refresh import turn, unkept, worst_case
 from gateway.bus.response import Traffic
 from gateway.bus.schedule import AHEAD, Job, NotBefore, Schedule, Send
@@ -38,6 +38,8 @@ REOPEN_LAST = 10.0
 SETTLE = 0.1  # seconds of silence after opening: half a frame of whoever spoke before is let go
 LATE_AT_MOST = 0.4  # seconds after a time-out in which the old answer may still come, twice the margin at least
 TRIP_AGAIN = 1.0  # seconds between two looks at a trip code that the status contradicts
+IN_VAIN = 3  # polls without an answer in a row, from which on a drive is asked more seldom
+COMMAND_FRAMES = 2  # in a row, a write and its read-back, behind which a poll that is overdue goes first
 IDLE_WAIT = 1.0  # seconds, when there is nothing to do at all
 
 LOST = (LinkState.OFFLINE, LinkState.STRANGER, LinkState.LINE_DOWN)
@@ -57,6 +59,7 @@ class _Station:
         self.planner = planner
         self.reader = reader
         self.link = Link()
+        self.vain = 0  # polls without an answer in a row, whoever it says it is
         self.trip_looked = float("-inf")  # when the trip code was read anew because the status says otherwise
         self.trip_signs: dict[str, bool] = {}  # MODBUS-RTU: by FC90, and by the bit in FD01
         self.is_left_alone = False  # by its control, so that its own time-out acts
@@ -89,6 +92,7 @@ class LineWorker:
         self._tap = tap
         self._count_stored = count_stored
         self._is_rung = False  # since the next poll was chosen
+        self._command_frames = 0  # sent in a row since the last poll
         self._opened_at = clock.now()
         self._line = line
         own = {drive.name: controls[drive.name] for drive in line.drives if controls and drive.name in controls}
@@ -101,10 +105,11 @@ class LineWorker:
         self._schedule: Schedule[Work] = Schedule(line.silent_share, line.probe_every, line.probe_at_most)
         self._stations: dict[str, _Station] = {}
         self._beside = self._predict(drive_stats)
+        shifts = phases(line.drives)
         for place, drive in enumerate(line.drives):
             processing = drive.model.times.processing + drive.wait_time
             planner = Planner(drive.number, drive.model, drive.codec, line.timing, processing)
-            reader = DriveReader(drive, planner, place, len(line.drives))
+            reader = DriveReader(drive, planner, place, len(line.drives), shifts[drive.name])
             self._stations[drive.name] = _Station(drive, images[drive.name], drive_stats[drive.name], planner, reader)
             if drive.name in own:
                 self._stations[drive.name].turn = turn(line, drive)
@@ -197,11 +202,17 @@ class LineWorker:
             await self._carry(exchanger, commanded)
         elif not controls.keepalive.lets_through(now) and (due := controls.next_due(now)) is not None:
             await self._keep_alive(exchanger, self._stations[due], now)
-        elif (commanded := controls.next_command(now)) is not None:
+        elif (is_owed := self._owes_poll(now)) or (commanded := controls.next_command(now)) is None:
+            self._command_frames = 0
+            await self._poll(exchanger, now, is_owed=is_owed)
+        else:
+            self._command_frames += 1
             controls.keepalive.let_through(now)
             await self._carry(exchanger, commanded)
-        else:
-            await self._poll(exchanger, now)
+
+    def _owes_poll(self, now: float) -> bool:
+        """Say whether a poll goes before the next command: whoever commands without end does not end the polling."""
+        return self._command_frames >= COMMAND_FRAMES and self._schedule.has_overdue(now)
 
     async def _tell_all(self, exchanger: Exchanger, broadcast: Broadcast) -> None:
         """Send a broadcast; whatever comes of it, every drive is read back by itself."""
@@ -210,8 +221,11 @@ class LineWorker:
         except (NoReply, BadReply, Refused):
             self._stats.errors["bad_reply"] += 1
 
-    async def _poll(self, exchanger: Exchanger, now: float) -> None:
-        """Do what the schedule says: a poll, a probe, or waiting; instead of waiting, what is due for an F803."""
+    async def _poll(self, exchanger: Exchanger, now: float, *, is_owed: bool = False) -> None:
+        """Do what the schedule says: a poll, a probe, or waiting; instead of waiting, what is due for an F803.
+
+        A poll that is owed goes before a command that comes within the gap.
+        """
         wake = self._controls.next_time()
         found = self._schedule.next(now)
         if not isinstance(found, Send) and (due := self._controls.next_due(now)) is not None:
@@ -221,7 +235,7 @@ class LineWorker:
             case Send(job):
                 self._is_rung = False
                 await exchanger.ready()
-                if not self._is_rung:  # else a command came within the gap: it goes first
+                if not self._is_rung or is_owed:  # else a command came within the gap: it goes first
                     self._controls.keepalive.let_through(now)
                     await self._exchange(exchanger, job)
             case NotBefore(when):
@@ -398,6 +412,8 @@ class LineWorker:
     def _answered(self, station: _Station, job: Job[Work], answered: Answered) -> None:
         station.stats.answers.observe(answered.done - answered.sent)
         self._heard(station, answered.done)
+        if job.work.task is not Task.IDENTIFY:
+            station.vain = 0
         if answered.reply is not None:
             learnt = station.reader.on_reply(job.work, answered.reply, answered.done)
             self._learn(station, job, learnt, answered.done)
@@ -424,9 +440,9 @@ class LineWorker:
             self._add(station.drive.name, station.reader.on_trip(), now)
 
     def _settle_trip(self, station: _Station, now: float) -> None:
-        """Have the trip code read again where it is old: the status says that the drive is no longer tripped."""
+        """Have trip code and status read again where they differ: one of them is old."""
         signs, name = station.trip_signs, station.drive.name
-        if signs.get("status") is not False or not signs.get("trip_code") or not station.reader.is_set_up:
+        if len(set(signs.values())) < 2 or not station.reader.is_set_up:
             return
         if now >= station.trip_looked + TRIP_AGAIN:  # where they go on to disagree, not without end
             station.trip_looked = now
@@ -462,10 +478,7 @@ class LineWorker:
         """Put what an answer brought where it belongs: link, image, schedule, log."""
         now = self._clock.now() if done is None else done
         reader, name = station.reader, station.drive.name
-        for note in learnt.notes:
-            log.info("%s: %s", name, note)
-        for warning in learnt.warnings:
-            log.warning("%s: %s", name, warning)
+        self._tell(name, learnt)
         self._schedule.done(job, now)
         if learnt.stranger:
             self._hear(station, Heard.STRANGER, learnt.stranger)
@@ -492,6 +505,12 @@ class LineWorker:
         self._add(name, learnt, now)
         if now < station.quiet_until:
             self._schedule.hold(name, station.quiet_until)
+
+    def _tell(self, drive: str, learnt: Learnt) -> None:
+        for note in learnt.notes:
+            log.info("%s: %s", drive, note)
+        for warning in learnt.warnings:
+            log.warning("%s: %s", drive, warning)
 
     def _add(self, drive: str, learnt: Learnt, now: float) -> None:
         """Plan what is to be done at once."""
@@ -557,6 +576,17 @@ class LineWorker:
         else:
             station.stats.bad_replies += 1
 
+    def _pause(self, station: _Station, cost: float) -> float:
+        """Return how long a drive is left alone that did not answer, in seconds: at first as a late answer may take.
+
+        One that says who it is and answers nothing else would cost a time-out each time: the longer that goes on, the
+        longer the pause, until all such drives together keep to the share of silent ones.
+        """
+        late = max(LATE_AT_MOST, 2 * self._line.margin)
+        such = sum(other.vain >= IN_VAIN for other in self._stations.values())
+        longest = max(late, such * cost / self._line.silent_share)
+        return min(longest, late * 2.0 ** max(0, station.vain - IN_VAIN + 1))
+
     def _unanswered(self, station: _Station, job: Job[Work], error: NoReply | BadReply, started: float) -> None:
         """Count silence or garbage, and decide how the drive is tried next.
 
@@ -575,9 +605,16 @@ class LineWorker:
             station.trip_signs.clear()
             self._ask_again(station, job, started)
         else:
-            station.quiet_until = now + max(LATE_AT_MOST, 2 * self._line.margin)
+            station.vain += job.work.task is not Task.IDENTIFY
+            station.quiet_until = now + self._pause(station, now - started)
             self._schedule.done(job, now)
-            self._follow_up(station, job, now)
+            learnt = station.reader.on_silence(job.work, now)
+            self._tell(name, learnt)
+            if learnt.jobs is not None:
+                self._schedule.set_jobs(name, learnt.jobs)
+                self._schedule.turn = self._turn()
+            else:
+                self._follow_up(station, job, now)
             self._schedule.hold(name, station.quiet_until)
             self._schedule.add(Job(name, station.reader.identify(), None, now, AHEAD))
 

@@ -413,7 +413,7 @@ class DriveControl:
     def on_refused(self, errand: Errand, refused: Refused) -> None:
         """Take a refusal."""
         if errand.look is not None:
-            self.resets.refused(errand.look)
+            self.resets.refused(errand.look, refused.reason)
         if errand.execution is not None:
             errand.execution.on_refused(refused)
             self._settle(errand.execution)

@@ -17,6 +17,7 @@ from gateway.control.execution import Execution, Phase
 from gateway.control.state import DriveState, Errand, Standing, is_for_armed
 from gateway.control.writes import BadCommand, plan_write
 from gateway.drives.register import Register
+from gateway.errors import Refusal
 
 RESET_WITHIN = 15.0  # seconds for a drive to come back after a fault reset
 MARK = "reset_detection"  # FA87
@@ -145,9 +146,16 @@ class Resets:
             if word == 0 and state.is_marked:
                 self.on_reset()
 
-    def refused(self, register: Register) -> None:
-        """Take that the drive does not tell: without its mark nothing is watched."""
-        self._to_observe = [other for other in self._to_observe if other is not register]
+    def refused(self, register: Register, reason: Refusal) -> None:
+        """Take that the drive does not tell: what it cannot tell just now is asked again, the rest is not known.
+
+        Without its mark nothing is watched, and what it was before is no answer any more.
+        """
+        if reason is Refusal.UNABLE:
+            return
+        if register in self._to_observe:
+            self._to_observe.remove(register)
+            self.state.facts.pop(register.name, None)
         if register.name == MARK:
             self.state.is_marked = False
 

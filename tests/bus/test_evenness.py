@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from gateway.bus import selectors
 from gateway.bus.blocks import Abilities
 from gateway.bus.plan import plan_drive
-from gateway.bus.reader import DriveReader
+from gateway.bus.reader import DriveReader, phases
 from gateway.bus.schedule import Job, Schedule, Send, on_grid, spread
 from gateway.bus.work import Task, Work
 from gateway.drives import catalogue
@@ -137,3 +137,11 @@ def test_the_checks_of_all_drives_keep_to_their_share(drives: int) -> None:
     assert sum(shares) <= selectors.AUDIT_SHARE + 1e-9
     if drives < 4:
         assert every == pytest.approx(selectors.UNPROVEN_EVERY, rel=0.05)
+
+
+def test_drives_of_one_period_are_spread_whoever_else_is_on_the_line() -> None:
+    """Four of ten drives are polled each second: a quarter of it apart, whatever the others do."""
+    (line,) = built([{"values": ["status"], "every": "1s"}], 4).lines
+    (others,) = built([{"values": ["status"], "every": "5s"}], 6).lines
+    found = phases([line.drives[0], *others.drives[4:], *line.drives[1:]])
+    assert [found[drive.name][1.0] for drive in line.drives] == [0.0, 0.25, 0.5, 0.75]

@@ -248,3 +248,26 @@ def test_a_held_drive_is_not_read_because_the_line_is_free() -> None:
     found = plan.next(0.4)
     assert isinstance(found, Send)
     assert plan.most_urgent("a", 0.4) is found.job
+
+
+def test_a_job_that_was_held_goes_back_to_its_place_on_the_grid() -> None:
+    """One lost frame does not lay the polls of a drive on each other for good."""
+    schedule: Schedule[str] = Schedule(0.05, 1.0, 5.0)
+    jobs = [Job("d1", str(n), 0.5, n / 10, n / 10 + 0.5) for n in range(5)]
+    schedule.set_jobs("d1", jobs)
+    schedule.hold("d1", 0.45)
+    assert {job.due for job in jobs} == {0.45}
+    now = 0.45
+    for job in jobs:
+        schedule.done(job, now)
+        now += 0.02
+    assert [round(job.due, 6) for job in jobs] == [0.5, 0.6, 0.7, 0.8, 0.9]
+
+
+def test_a_poll_is_overdue_when_its_deadline_has_passed() -> None:
+    """Not before, not what goes ahead of everything, and not of a drive that is left alone."""
+    schedule: Schedule[str] = Schedule(0.05, 1.0, 5.0)
+    schedule.set_jobs("d1", [Job("d1", "poll", 0.5, 1.0, 1.5), Job("d1", "first", None, 1.0, AHEAD)])
+    assert [schedule.has_overdue(now) for now in (0.9, 1.4, 1.6)] == [False, False, True]
+    schedule.suspend("d1")
+    assert not schedule.has_overdue(1.6)

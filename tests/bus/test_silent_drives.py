@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
@@ -16,6 +17,8 @@ PROBE_AT_MOST = 5.0  # seconds, by default
 SET_UP = 1.5  # seconds from the first answer of a drive to its first values
 LATE = 0.05  # seconds that an exchange under way may take
 SPAN = 30.0  # seconds
+IDENTIFY = 0x2B  # MODBUS function
+BLOCK = bytes.fromhex("18 75")
 EVERY = [{"values": FIVE, "every": "100ms"}]
 
 
@@ -48,6 +51,50 @@ def test_the_drive_that_is_left_keeps_nine_tenths_of_its_rate(dead: int, every: 
     alone, beside = rates
     assert beside >= 0.9 * alone
     assert 0 < shares[1] <= 0.055  # 5 %, and the try that the minute begins with
+
+
+def deafen(stage: Bench, number: int, deaf_to: Callable[[bytes], bool]) -> None:
+    """Let a drive give no answer to some frames."""
+    drive = stage.wire.drives[number - 1]
+    answer = drive.handle
+
+    def handle(frame: bytes, now: float) -> tuple[bytes | None, float]:
+        return (None, 0.0) if deaf_to(frame) else answer(frame, now)
+
+    drive.handle = handle  # type: ignore[method-assign]  # this one drive only
+
+
+@pytest.mark.parametrize("half_dead", [1, 7])
+def test_drives_that_only_say_who_they_are_cost_no_more_than_silent_ones(half_dead: int) -> None:
+    """They are there, and each poll costs a time-out: they are polled ever more seldom."""
+
+    async def play(stage: Bench) -> None:
+        await asyncio.sleep(10.0)
+        stage.applied.clear()
+        await asyncio.sleep(SPAN)
+        before = len(times(stage, "d1"))
+        for number in range(2, 2 + half_dead):
+            deafen(stage, number, lambda frame: frame[1] != IDENTIFY)
+        await asyncio.sleep(60.0)
+        stage.applied.clear()
+        await asyncio.sleep(SPAN)
+        assert len(times(stage, "d1")) >= 0.9 * before
+
+    polls = [{"values": FIVE, "every": "300ms"}]
+    run(lambda: bench([nc3(number) for number in range(1, 2 + half_dead)], polls), play)
+
+
+def test_a_block_that_is_not_answered_any_more_is_given_up() -> None:
+    """Its values come by other reads; after a reset it is tried again."""
+
+    async def play(stage: Bench) -> None:
+        await asyncio.sleep(5.0)
+        deafen(stage, 1, lambda frame: frame[2:4] == BLOCK)
+        await asyncio.sleep(20.0)
+        assert stage.link("d1") is LinkState.ONLINE
+        assert stage.value("d1", "output_frequency") == "0.00"
+
+    run(lambda: bench([nc3(1)], EVERY), play)
 
 
 @pytest.mark.parametrize("away", [0.15, 0.5, 3.0, 60.0])

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+from decimal import Decimal
 
 import pytest
 
-from gateway.control.command import Reason, Status, Verb
-from tests.control.test_control_line import Stage, play, started
+from gateway.control.command import Command, Reason, Status, Verb
+from gateway.protocol.checksum import crc16
+from tests.control.test_control_line import DASHBOARD, Stage, play, started
 
 OVERLOAD = 0x0D  # FC90: OL1
 SELDOM = [{"values": ["status"], "every": "5s", "max_age": "20s"}]
@@ -131,3 +133,66 @@ def test_a_frequency_from_before_that_is_out_of_range_does_not_come_back() -> No
         assert (await stage.ask(Verb.RUN, value="20")).status is Status.DONE
 
     play(script)
+
+
+def say_unable(stage: Stage, address: int, count: int) -> None:
+    """Let the drive say that it cannot tell a register just now, so many times."""
+    drive = stage.bench.wire.drives[0]
+    answer, left = drive.handle, [count]
+
+    def handle(frame: bytes, now: float) -> tuple[bytes | None, float]:
+        if left[0] and frame[1:4] == bytes((0x03, *address.to_bytes(2, "big"))):
+            left[0] -= 1
+            refusal = bytes((frame[0], 0x83, 0x04))
+            return refusal + crc16(refusal), 0.005
+        return answer(frame, now)
+
+    drive.handle = handle  # type: ignore[method-assign]  # this one drive only
+
+
+@pytest.mark.hazard("H06")
+def test_a_look_that_the_drive_cannot_answer_just_now_is_made_again() -> None:
+    """F803 was set to 0 at the panel, and the first look at it is refused: the second one tells."""
+
+    async def script(stage: Stage) -> None:
+        stage.bench.drive.inverter.memory.set_by_panel("communication_timeout", 0)
+        say_unable(stage, 0x0803, 1)
+        assert (await stage.ask(Verb.TAKE)).status is Status.DONE
+        refused = await stage.ask(Verb.ARM)
+        assert (refused.status, refused.reason) == (Status.REFUSED, Reason.NO_WATCHDOG)
+
+    play(script)
+
+
+@pytest.mark.parametrize("polled", ["status", "trip_code"])
+def test_a_trip_ends_by_whichever_sign_is_read(polled: str) -> None:
+    """The other one is read again: else a drive would be tripped for ever."""
+
+    async def script(stage: Stage) -> None:
+        inverter = stage.bench.drive.inverter
+        inverter.trip(OVERLOAD)
+        await asyncio.sleep(4.0)
+        assert stage.door.controls["d1"].state.is_tripped
+        inverter.reset(asyncio.get_running_loop().time())
+        await asyncio.sleep(8.0)
+        assert stage.door.controls["d1"].state.is_tripped is False
+
+    play(script, {"poll": [{"values": [polled], "every": "2s", "max_age": "20s"}]})
+
+
+@pytest.mark.hazard("H30")
+def test_whoever_commands_without_end_does_not_end_the_polling() -> None:
+    """A setpoint every 10 ms: polls come at least at a third of their rate, and values stay good."""
+
+    async def script(stage: Stage) -> None:
+        await started(stage)
+        loop, came = asyncio.get_running_loop(), []
+        stage.bench.image.subscribe(lambda _image, names: came.append(loop.time()) if "status" in names else None)
+        for step in range(500):
+            now = loop.time()
+            value = Decimal(20 + step % 10)
+            stage.door.submit(Command("d1", Verb.FREQUENCY, DASHBOARD, now, now + 1.0, value=value), lambda _: None)
+            await asyncio.sleep(0.01)
+        assert len(came) >= 15
+
+    play(script, {"poll": [{"values": ["status", "output_current"], "every": "100ms", "max_age": "500ms"}]})
