@@ -20,7 +20,7 @@ from gateway.config import Config
 from gateway.drives import catalogue
 from gateway.errors import BadConfig, GatewayError, Refused
 from gateway.image import Image
-from gateway.modbus_tcp import mapping
+from gateway.modbus_tcp import mapping, tags
 from gateway.mqtt import topics
 from gateway.mqtt.discovery import Discovery
 from gateway.sim import runner, settings
@@ -51,6 +51,7 @@ class MapFormat(StrEnum):
     MD = "md"
     CSV = "csv"
     JSON = "json"
+    TAGS = "tags"
 
 
 def run_command() -> None:
@@ -161,12 +162,19 @@ def check_file(file: ConfigFile) -> None:
 @app.command("map")
 def print_map(
     file: ConfigFile,
-    form: Annotated[MapFormat, typer.Option("--format", help="md, csv or json")] = MapFormat.MD,
+    form: Annotated[
+        MapFormat, typer.Option("--format", help="md, csv, json, or tags: a CSV for tag importers")
+    ] = MapFormat.MD,
 ) -> None:
     """Print the MODBUS-TCP register map of a configuration, for the SCADA engineer."""
     document = mapping.register_map(site.load(file))
-    printers = {MapFormat.MD: mapping.as_markdown, MapFormat.CSV: mapping.as_csv, MapFormat.JSON: mapping.as_json}
-    typer.echo(printers[form](document), nl=form is not MapFormat.CSV)
+    printers = {
+        MapFormat.MD: mapping.as_markdown,
+        MapFormat.CSV: mapping.as_csv,
+        MapFormat.JSON: mapping.as_json,
+        MapFormat.TAGS: tags.as_tags,
+    }
+    typer.echo(printers[form](document), nl=form not in (MapFormat.CSV, MapFormat.TAGS))
 
 
 @app.command()

@@ -7,6 +7,7 @@ import os
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
+from decimal import Decimal
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 from urllib.parse import urlsplit
@@ -66,6 +67,9 @@ Deadband = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 CommandSource = Literal["mqtt", "modbus-tcp", "sparkplug"]
 CommandName = Annotated[str, StringConstraints(pattern=r"^(\*|[a-z][a-z_]*)$")]
 ValueName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$")]
+PointName = Annotated[
+    str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}\.[a-z][a-z0-9_]*$")
+]
 ValuePattern = Annotated[str, StringConstraints(pattern=r"^[a-z0-9_*?]+$")]
 NamePattern = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_.*?-]+$")]
 SourceName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
@@ -233,12 +237,53 @@ class SparkplugSection(BrokerSection):
         """Return the quality of service of births and data: 0, as Sparkplug has it."""
         return 0
 
+class MapSection(Section):
+    """One value at an address of the user's own."""
+
+    point: PointName = Field(description='drive and value: "pump-1.output_frequency"')
+    address: int = Field(ge=0, le=0xFFFF, description="of its first register, counted from 0")
+    type: Literal["word", "signed", "int32", "uint32", "float32"] = Field(
+        "word", description="word: as the drive has it; signed: 16 bits; all but word are the value in its unit"
+    )
+    scale: float = Field(1.0, ge=1e-6, le=1e6, description="the value is multiplied by it, and rounded where whole")
+    word_order: Literal["big", "little"] = Field("big", description="of 32 bits; big: the high word first")
+    unit: int | None = Field(None, ge=1, le=255, description="MODBUS-TCP unit id; map_unit by default")
+
+    @model_validator(mode="after")
+    def _sound(self) -> MapSection:
+        if self.type == "word" and "scale" in self.model_fields_set:
+            raise ValueError('scale: a "word" is as the drive has it; give it another type, such as "signed"')
+        if self.type in ("word", "signed") and "word_order" in self.model_fields_set:
+            raise ValueError(f'word_order: "{self.type}" is one word; only 32 bits have an order')
+        return self
+
+    @property
+    def drive(self) -> str:
+        """Return the drive's name, which may contain dots."""
+        return self.point.rpartition(".")[0]
+
+    @property
+    def value(self) -> str:
+        """Return the value's name."""
+        return self.point.rpartition(".")[2]
+
+    @property
+    def factor(self) -> Decimal:
+        """Return the scale exactly as it is written."""
+        return Decimal(str(self.scale))
+
 class ModbusTcpSection(Section):
     """The MODBUS-TCP server."""
 
     listen: Listen = "127.0.0.1:5020"
     connections: int = Field(32, ge=1, le=1000)
     idle_timeout: Duration = Field(seconds("60s"), ge=1)
+    map_unit: int = Field(247, ge=1, le=255, description="unit id of the user-defined map; no drive's")
+    map: list[MapSection] = Field([], description="the user-defined map: values at addresses of your own")
+
+    def unit_of(self, entry: MapSection) -> int:
+        """Return the unit id under which an entry is read."""
+        return self.map_unit if entry.unit is None else entry.unit
 
 class WebSection(Section):
     """The web server: /healthz and /metrics."""

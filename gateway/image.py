@@ -59,6 +59,7 @@ class Missing(Enum):
     UNMAPPED = "no such value is read from this drive"
     NOT_FRESH = "stale, never read, or the drive is silent"
     LINE_DOWN = "the line is down"
+    NOT_FITTING = "the value does not fit the type that it is mapped as"
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,6 +232,12 @@ class DriveImage:
         elif segment.expires[offset] < now:
             quality = Quality.STALE
         return Sample(word, quality, max(0.0, now - read_at), read_at + self._wall_offset)
+
+    def expiry(self, name: str) -> float:
+        """Return the monotonic time past which a value is stale; NEVER where it has not been read."""
+        derived = self.derived.get(name)
+        segment, offset = self._at[self.points[derived.of if derived else name].register.address]
+        return segment.expires[offset]
 
     def number(self, name: str, word: int) -> Decimal:
         """Return the engineering value that a word of this value stands for."""

@@ -59,6 +59,8 @@ def test_the_map_comes_as_markdown_csv_and_json() -> None:
     assert len({len(row) for row in rows}) == 1
     assert any("output_frequency" in row for row in rows)
     assert "output_frequency" in json.dumps(json.loads(command("map", path, "--format", "json").stdout))
+    tags = list(csv.DictReader(io.StringIO(command("map", path, "--format", "tags").stdout)))
+    assert "464769" in [tag["Address"] for tag in tags]
 
 
 def test_registers_lists_what_a_model_has() -> None:

@@ -75,7 +75,7 @@ def test_the_example_of_everything_names_every_key() -> None:
         config.GatewaySection, config.LogSection, config.MqttSection, config.SparkplugSection, config.TlsSection,
         config.ModbusTcpSection, config.WebSection, config.LineSection, config.DriveSection, config.PollSection,
         config.StoreSection, config.StoredWritesSection, config.FrequencySection, config.RightSection,
-        config.TraceSection, config.FilterSection, config.HomeAssistantSection,
+        config.TraceSection, config.FilterSection, config.MapSection, config.HomeAssistantSection,
     ):
         for key in section.model_fields:
             assert any(form in shown for form in (f"{key} =", f"[{key}]", f".{key}]", f"[[{key}]]")), key

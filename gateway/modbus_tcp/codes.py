@@ -34,6 +34,7 @@ CODE_FOR = {
     Missing.UNMAPPED: ExceptionCode.ILLEGAL_DATA_ADDRESS,
     Missing.NOT_FRESH: ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND,
     Missing.LINE_DOWN: ExceptionCode.GATEWAY_PATH_UNAVAILABLE,
+    Missing.NOT_FITTING: ExceptionCode.SERVER_DEVICE_FAILURE,
 }
 
 REFUSED: Mapping[Reason, ExceptionCode] = {  # nothing was sent

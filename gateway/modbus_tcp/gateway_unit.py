@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from gateway.image import DriveImage, Image, LinkState, Missing, Quality
 from gateway.metrics import Stats
+from gateway.modbus_tcp.user_map import UserMap
 
 UNIT = 255
 REGISTERS_PER_DRIVE = 16
@@ -106,7 +107,15 @@ class GatewayUnit:
 
     link = LinkState.ONLINE
 
-    def __init__(self, image: Image, stats: Stats, identity: Mapping[str, str], started: float) -> None:
+    def __init__(
+        self,
+        image: Image,
+        stats: Stats,
+        identity: Mapping[str, str],
+        started: float,
+        user_map: UserMap | None = None,
+    ) -> None:
+        self._user_map = user_map
         self.identity = identity
         self._image = image
         self._stats = stats
@@ -116,7 +125,7 @@ class GatewayUnit:
         self._drives_end = REGISTERS_PER_DRIVE * len(self._blocks)
 
     def read(self, start: int, count: int, now: float) -> bytes | Missing:
-        """Return `count` registers from `start`, or UNMAPPED where they leave the compact map or the counters."""
+        """Return `count` registers from `start`, or UNMAPPED where they leave what this unit has."""
         end = start + count
         if end <= self._drives_end:
             first = start // REGISTERS_PER_DRIVE
@@ -125,7 +134,7 @@ class GatewayUnit:
             return _cut(words, start - REGISTERS_PER_DRIVE * first, count)
         if start >= COUNTERS_AT and 2 * (end - COUNTERS_AT) <= COUNTERS_FORM.size:
             return _cut(self._counters(now), start - COUNTERS_AT, count)
-        return Missing.UNMAPPED
+        return Missing.UNMAPPED if self._user_map is None else self._user_map.read(start, count, now)
 
     def _counters(self, now: float) -> bytes:
         stats, lines = self._stats, self._stats.lines.values()

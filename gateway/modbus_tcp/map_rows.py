@@ -27,6 +27,8 @@ class Row:
     bits: Mapping[int, str] = field(default_factory=dict)
     codes: Mapping[int, str] = field(default_factory=dict)
     note: str = ""
+    form: str = ""  # the type, where a user-defined map names it
+    word_order: str = "big"  # of 32 bits: the high word first, or "little"
 
     @property
     def register_number(self) -> int:
@@ -40,16 +42,21 @@ class Row:
 
     @property
     def type_name(self) -> str:
-        """Return the type as tag lists spell it; 32 bits are two words, the high one first."""
+        """Return the type as tag lists spell it; 32 bits are two words."""
+        return self.form or self._plain_type
+
+    @property
+    def _plain_type(self) -> str:
         return "uint32" if self.is_long else "int16" if self.is_signed else "uint16"
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """The rows of one drive, of the compact map, or of the counters."""
+    """The rows of one drive, of the compact map, or of the counters. `tags` begins the names of their tags."""
 
     title: str
     rows: tuple[Row, ...]
+    tags: str = ""
 
 
 @dataclass(frozen=True, slots=True)

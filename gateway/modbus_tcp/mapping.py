@@ -12,6 +12,7 @@ from gateway.modbus_tcp import gateway_unit
 from gateway.modbus_tcp.map_rows import MapDocument, Row, Table, row_of
 from gateway.modbus_tcp.mirror_rows import command_tables
 from gateway.modbus_tcp.read_back import FRESH_FOR, commanded_registers
+from gateway.modbus_tcp.user_map_rows import user_tables
 from gateway.site import Drive, Site
 
 MOST_CODES_IN_A_CELL = 6
@@ -27,8 +28,9 @@ def register_map(site: Site) -> MapDocument:
         site.config.gateway.name,
         (
             *(_drive_table(drive) for drive in site.drives if drive.unit),
-            Table(f"Unit {own}: compact map, 16 registers a drive (8000H: no value)", tuple(compact)),
+            Table(f"Unit {own}: compact map, 16 registers a drive (8000H: no value)", tuple(compact), "compact"),
             *command_tables(site),
+            *user_tables(site),
             Table(f"Unit {own}: counters of the gateway", tuple(_counter_rows())),
         ),
     )
@@ -113,6 +115,7 @@ def _record(row: Row) -> dict[str, object]:
         "name": row.name,
         "title": row.title,
         "type": row.type_name,
+        "word_order": row.word_order,
         "scale": row.scale,
         "unit": row.unit,
         "max_age": None if row.max_age is None else round(row.max_age, 3),
@@ -128,7 +131,8 @@ def as_markdown(document: MapDocument) -> str:
         f"# MODBUS-TCP register map of {document.gateway}",
         "",
         "Functions 03 and 04 read the same registers. Addresses count from 0; the register number is for tools that "
-        "count from 1, the reference for those that number holding registers 4xxxxx. 32 bits: high word first.",
+        "count from 1, the reference for those that number holding registers 4xxxxx. "
+        "32 bits: high word first, where no note says otherwise.",
     ]
     for table in document.tables:
         lines += ["", f"## {table.title}", "", _line(*COLUMNS), _line(*["---"] * len(COLUMNS))]
@@ -148,7 +152,8 @@ def _cells(row: Row) -> Iterator[str]:
     yield from (f"{row.address}", f"{row.address:04X}H", f"{row.register_number}", row.reference)
     yield from (row.name, row.title, row.type_name, f"{row.scale} {row.unit}".strip())
     yield "" if row.max_age is None else f"{row.max_age:.1f} s"
-    notes = [row.note, f"bits: {_listed(row.bits)}" if row.bits else ""]
+    order = "" if row.word_order == "big" else "low word first"
+    notes = [row.note, order, f"bits: {_listed(row.bits)}" if row.bits else ""]
     if row.codes:
         is_long = len(row.codes) > MOST_CODES_IN_A_CELL
         notes.append(f"codes of {row.name}: see below" if is_long else _listed(row.codes))

@@ -72,7 +72,7 @@ def command_tables(site: Site) -> Iterator[Table]:
     if not any(drive.is_controlled for drive in site.drives):
         return
     rows = (row for index, drive in enumerate(site.drives) for row in _mirror_rows(drive, index))
-    yield Table(f"Unit {UNIT}: command mirror, {PER_DRIVE} registers a drive", tuple(rows))
+    yield Table(f"Unit {UNIT}: command mirror, {PER_DRIVE} registers a drive", tuple(rows), "mirror")
     yield Table(f"Unit {UNIT}: stops of whole lines", tuple(_line_rows(site)))
 
 

@@ -22,6 +22,7 @@ from gateway.modbus_tcp.mirror_unit import MirrorUnit
 from gateway.modbus_tcp.read_back import CommandedUnit
 from gateway.modbus_tcp.responder import Responder, Unit
 from gateway.modbus_tcp.session import Writer
+from gateway.modbus_tcp.user_map import user_maps
 from gateway.modbus_tcp.writing import DriveWriter
 from gateway.ports import explain_bind_error
 
@@ -52,8 +53,9 @@ class ModbusTcpServer:
         self._section = section
         self._clock = clock
         self._places = Places(section.connections, stats.tcp)
-        gateway_unit = GatewayUnit(image, stats, identity, clock.now())
-        units: dict[int, Unit] = {**image.by_unit, UNIT: gateway_unit}
+        maps = user_maps(section, image, identity)
+        gateway_unit = GatewayUnit(image, stats, identity, clock.now(), maps.get(UNIT))
+        units: dict[int, Unit] = {**image.by_unit, **maps, UNIT: gateway_unit}
         self._writers: dict[int, Writer] = {}
         if door is not None and door.controls:
             self._open(door, image, gateway_unit, units)

@@ -16,7 +16,7 @@ import uvloop
 from pymodbus.client import AsyncModbusTcpClient, ModbusTcpClient
 
 from gateway.clock import SystemClock
-from gateway.config import ModbusTcpSection
+from gateway.config import MapSection, ModbusTcpSection
 from gateway.errors import GatewayError
 from gateway.image import Image, LinkState
 from gateway.metrics import LineStats, Stats
@@ -28,6 +28,10 @@ pytestmark = pytest.mark.e2e
 LIMIT = 20.0  # seconds for anything to happen
 LOOPS = {"asyncio": asyncio.new_event_loop, "uvloop": uvloop.new_event_loop}
 Scenario = Callable[[], Coroutine[None, None, None]]
+MAPPED = [
+    MapSection(point="pump-1.output_frequency", address=0, type="float32"),
+    MapSection(point="pump-1.torque", address=2, type="int32", scale=1000, word_order="little"),
+]
 
 
 @pytest.fixture(params=LOOPS)
@@ -51,7 +55,7 @@ class Served(ModbusTcpServer):
     def __init__(self, image: Image | None = None, port: int = 0) -> None:
         self.clock = StandingClock()
         self.stats = Stats(0.0, {"a": LineStats()})
-        section = ModbusTcpSection(listen=f"127.0.0.1:{port}")
+        section = ModbusTcpSection(listen=f"127.0.0.1:{port}", map=MAPPED)
         super().__init__(section, image or fresh_image(), self.stats, self.clock)
 
 
@@ -144,6 +148,8 @@ def test_pymodbus_reads_asynchronously_from_many_connections(run: Callable[[Scen
 
 
 MBPOLL = [
+    (["-a", "247", "-0", "-r", "0", "-t", "4:float", "-B", "-c", "1"], 0, "[0]: \t60\n"),
+    (["-a", "247", "-0", "-r", "2", "-t", "4:int", "-c", "1"], 0, "[2]: \t-10\n"),
     (["-a", "1", "-r", "64769", "-c", "4"], 0, "[64769]: \t6000"),
     (["-a", "1", "-0", "-r", "64768", "-c", "4"], 0, "[64771]: \t4660"),
     (["-a", "1", "-t", "3", "-r", "64769", "-c", "1"], 0, "[64769]: \t6000"),
