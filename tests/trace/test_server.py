@@ -88,6 +88,32 @@ async def test_the_ring_is_shown_whole_and_then_it_is_over(tmp_path: Path) -> No
         assert await client.is_over()
 
 
+async def test_a_reader_of_the_ring_that_pauses_misses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a pager does, for longer than anything else is waited for; to the last frame, and the mark behind it."""
+    loop, ring, shown = asyncio.get_running_loop(), Ring(10_000), b""
+    for _ in range(2000):
+        ring.add("a", answered())
+    async with served(tmp_path, ring) as made:
+        with socket.socket(socket.AF_UNIX) as client:
+            client.setblocking(False)
+            await loop.sock_connect(client, str(tmp_path / "s"))
+            await loop.sock_sendall(client, RING)
+            shown += await asyncio.wait_for(loop.sock_recv(client, 10), LIMIT)
+            monkeypatch.setattr(server, "PATIENCE", 0.0)
+            (writer,) = made._clients
+            while not writer.transport.get_write_buffer_size() and not writer.is_closing():
+                await asyncio.sleep(0)
+            for _ in range(10):
+                await asyncio.sleep(0)
+            while data := await asyncio.wait_for(loop.sock_recv(client, 65_536), LIMIT):
+                shown += data
+    lines = shown.splitlines()
+    assert len(lines) == 1 + 4000 + 1
+    assert json.loads(lines[-1]) == {"over": True}
+
+
 async def test_a_follower_sees_what_comes(tmp_path: Path) -> None:
     """And nothing of before."""
     ring = Ring(100)
