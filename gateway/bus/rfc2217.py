@@ -20,7 +20,10 @@ PURGE_BOTH = 3
 PARITIES = {"none": 1, "odd": 2, "even": 3}
 NAMES = {SET_BAUDRATE: "baud rate", SET_DATASIZE: "data bits", SET_PARITY: "parity", SET_STOPSIZE: "stop bits"}
 
-LONGEST_SUBNEGOTIATION = 64  # bytes that are kept of one; RFC 2217's own have up to 6, a signature more
+SIGNATURE = 0  # a server may send it unasked
+LONGEST_SUBNEGOTIATION = 64  # bytes of one; RFC 2217's own have up to 6
+SIGNATURES = (bytes([COM_PORT, SIGNATURE]), bytes([COM_PORT, SIGNATURE + SERVER]))
+LONGEST_SIGNATURE = 1024  # bytes; the RFC names no limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,14 +112,23 @@ class ComPort:
     def _is_data(self, byte: int) -> bool:
         if self._subnegotiation is None:
             return True
-        if len(self._subnegotiation) < LONGEST_SUBNEGOTIATION:
+        is_signature = self._subnegotiation[:2] in SIGNATURES
+        if len(self._subnegotiation) < (LONGEST_SIGNATURE if is_signature else LONGEST_SUBNEGOTIATION):
             self._subnegotiation.append(byte)
+        else:
+            self._lose_end()
         return False
+
+    def _lose_end(self) -> None:
+        """Give up: which bytes are the line's can no longer be told."""
+        self.problem = self.problem or "its subnegotiation does not end (no IAC SE): is it a server by RFC 2217?"
 
     def _obey(self, command: int) -> None:
         if command in (WILL, WONT, DO, DONT):
             self._command = command
         elif command == SB:
+            if self._subnegotiation is not None:
+                self._lose_end()
             self._subnegotiation = bytearray()
         elif command == SE and self._subnegotiation is not None:
             said, self._subnegotiation = bytes(self._subnegotiation), None

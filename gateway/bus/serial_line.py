@@ -295,8 +295,12 @@ class DescriptorLine:
         self._alarm.ring()
 
     def _of_line(self, com_port: ComPort, data: bytes) -> bytes:
-        """Return the bytes of the line in what a serial server sent, and answer the rest."""
+        """Return the bytes of the line in what a serial server sent, and answer the rest; fail with the server."""
         data = com_port.feed(data)
+        if com_port.problem:
+            self._fail(f"the serial server went on, but {com_port.problem}")
+            self._alarm.ring()
+            return b""
         if out := com_port.outgoing():
             with contextlib.suppress(OSError):  # what it means is seen at the next request
                 os.write(self._fd, out)

@@ -35,6 +35,7 @@ class Seen:
     def __init__(self, paths: Sequence[Path], *, is_followed: bool, seconds: float | None = None) -> None:
         self._socket = _connected(paths)
         self._seconds = seconds
+        self._is_followed = is_followed
         self._buffer = b""
         try:
             self._socket.settimeout(PATIENCE)
@@ -50,7 +51,10 @@ class Seen:
         self.lines = [str(name) for name in hello["lines"]]
 
     def frames(self) -> Iterator[Frame | Lost]:
-        """Yield what the gateway shows, until all is shown, the time is over, or the gateway ends."""
+        """Yield what the gateway shows, until all is shown, the time is over, or a gateway that is followed ends.
+
+        GatewayError where the latest frames end before the gateway has said that these were all.
+        """
         until = None if self._seconds is None else time.monotonic() + self._seconds
         for table in self._tables(until):
             if "over" in table:
@@ -59,6 +63,8 @@ class Seen:
                 yield Lost(int(table["lost"]))
             else:
                 yield Frame.of_table(table)
+        if not self._is_followed:
+            raise GatewayError("the gateway ended the connection too soon: its latest frames are missing here")
 
     def _tables(self, until: float | None) -> Iterator[dict[str, Any]]:
         while True:

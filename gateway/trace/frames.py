@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
@@ -14,6 +14,7 @@ from gateway.trace.meaning import Meaning
 from gateway.trace.record import Piece, Record, Told, Unasked, Verdict
 
 WELL = (Verdict.ANSWERED, Verdict.REFUSED)
+MOST_STRAY = 4  # answers that nobody waited for which are looked for in one place; what is behind them is noise
 
 
 class Way(Enum):
@@ -120,7 +121,7 @@ def _places(data: bytes, left: bytes) -> Iterator[Cut]:
 def frames(line: str, told: Told, meaning: Meaning, offset: float) -> Iterator[Frame]:
     """Yield the frames of something told, in the order of time; `offset` makes monotonic seconds UTC."""
     if isinstance(told, Unasked):
-        yield _unasked(line, told, offset)
+        yield from _unasked(line, told, offset)
         return
     protocol, end = told.codec.name, told.sent + offset
     says = meaning.of_request(told.request)
@@ -137,14 +138,17 @@ def frames(line: str, told: Told, meaning: Meaning, offset: float) -> Iterator[F
         )  # fmt: skip
 
 
-def _unasked(line: str, told: Unasked, offset: float) -> Frame:
-    """Return bytes that came between two exchanges as a frame: the late answer to the one before, or noise."""
-    is_late = told.before is not None and cut(*told.before, told.data) is not None
-    protocol = "" if told.before is None else told.before[0].name
-    verdict = Verdict.LATE if is_late else Verdict.NOISE
-    return Frame(line, Way.ANSWER, told.when + offset, told.when + offset, told.data, protocol, verdict)
+def _unasked(line: str, told: Unasked, offset: float) -> Iterator[Frame]:
+    """Yield what came between two exchanges: late answers to the one before, and noise."""
+    when, protocol = told.when + offset, "" if told.before is None else told.before[0].name
+    parts: Iterable[Part] = [(told.data, Verdict.NOISE)]
+    if told.before is not None:
+        parts = _strays(*told.before, told.data, Verdict.LATE)
+    for data, verdict in parts:
+        yield Frame(line, Way.ANSWER, when, when, data, protocol, verdict)
 
 
+Part = tuple[bytes, Verdict]
 Heard = tuple[float, float, bytes, Verdict]
 
 
@@ -158,9 +162,13 @@ def _heard(told: Record) -> Iterator[Heard]:
 
 
 def _early(pieces: Sequence[Piece], told: Record) -> Iterator[Heard]:
-    if pieces:
-        begin, end, data = _joined(pieces)
-        yield begin, end, data, Verdict.ECHO if data == told.frame else Verdict.EARLY
+    """Yield the echo and the answers that came sooner than the wire allows; a write's echo and answer look alike."""
+    data, echo = b"".join(data for _, data in pieces), told.frame
+    has_echo = data.startswith(echo)
+    if has_echo:
+        yield from _timed(pieces, [(echo, Verdict.ECHO)])
+    start = len(echo) if has_echo else 0
+    yield from _timed(pieces, _strays(told.codec, told.request, data[start:], Verdict.EARLY, echo), start)
 
 
 def _awaited(pieces: Sequence[Piece], told: Record) -> Iterator[Heard]:
@@ -187,10 +195,34 @@ def _instead(told: Record) -> Verdict:
 
 
 def _afterwards(pieces: Sequence[Piece], told: Record) -> Iterator[Heard]:
-    if pieces:
-        begin, end, data = _joined(pieces)
-        is_late = cut(told.codec, told.request, data) is not None
-        yield begin, end, data, Verdict.LATE if is_late else Verdict.NOISE
+    data = b"".join(data for _, data in pieces)
+    yield from _timed(pieces, _strays(told.codec, told.request, data, Verdict.LATE, told.frame))
+
+
+def _strays(codec: Codec, request: Request, data: bytes, verdict: Verdict, echo: bytes = b"") -> Iterator[Part]:
+    """Take bytes apart that nobody waited for: answers, with that verdict; an echo among the rest; noise."""
+    for _ in range(MOST_STRAY):
+        if (found := cut(codec, request, data)) is None:
+            break
+        yield from _no_answer(found.front, echo)
+        yield found.answer, verdict
+        data = found.behind
+    yield from _no_answer(data, echo)
+
+
+def _no_answer(data: bytes, echo: bytes) -> Iterator[Part]:
+    """Yield an echo and the noise round it."""
+    front, found, behind = data.partition(echo) if echo else (data, b"", b"")
+    parts = ((front, Verdict.NOISE), (found, Verdict.ECHO), (behind, Verdict.NOISE))
+    yield from (part for part in parts if part[0])
+
+
+def _timed(pieces: Sequence[Piece], parts: Iterable[Part], start: int = 0) -> Iterator[Heard]:
+    """Yield parts of pieces, that follow one another from the byte at `start`, with their times."""
+    for data, verdict in parts:
+        end = start + len(data)
+        yield _begin_of(pieces, start), _begin_of(pieces, end - 1), data, verdict
+        start = end
 
 
 def _joined(pieces: Sequence[Piece]) -> tuple[float, float, bytes]:

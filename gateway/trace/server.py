@@ -25,7 +25,8 @@ log = logging.getLogger("gateway.trace")
 VERSION = 1  # of what is said over the socket
 MOST_CLIENTS = 8
 LONGEST_REQUEST = 1024  # bytes
-PATIENCE = 5.0  # seconds for a client to say what it wants, or to take what it asked for
+PATIENCE = 5.0  # seconds for a client to say what it wants, or to read the last that it is sent
+LAST_WORDS = 0.5  # seconds that the end of the gateway waits for those who have not read everything
 MOST_UNREAD = 262_144  # bytes that may wait for one client; further frames are lost to it, and counted
 MOST_PENDING = 1000  # things told that wait to be sent
 AT_ONCE = 2  # things told that are worked on before the lines are served again: half a millisecond
@@ -81,8 +82,7 @@ class TraceServer:
         if self._server is None:
             return
         self._server.close()
-        for writer in list(self._clients):
-            writer.close()
+        await asyncio.gather(*(_ended(writer, LAST_WORDS) for writer in self._clients))
         with contextlib.suppress(OSError):
             self._path.unlink()
         self._server = None
@@ -121,8 +121,10 @@ class TraceServer:
         except (OSError, ValueError, TimeoutError):
             pass  # it went, says what is no request, or does not read: it is dropped
         finally:
-            self._clients.discard(writer)
-            writer.close()
+            try:
+                await _ended(writer, PATIENCE)
+            finally:
+                self._clients.discard(writer)
 
     async def _answer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         request = json.loads(await asyncio.wait_for(reader.readline(), PATIENCE))
@@ -143,15 +145,30 @@ class TraceServer:
             self._followers.discard(follower)
 
     async def _send_ring(self, writer: asyncio.StreamWriter) -> None:
-        """Send what the ring holds now, piece by piece: the lines are served in between."""
+        """Send what the ring holds now, piece by piece: the lines are served in between.
+
+        A pager may stop reading for as long as its user reads: it keeps its place among the clients, as followers do.
+        """
         told = self._ring.all()
         for start in range(0, len(told), AT_ONCE):
             for line, one in told[start : start + AT_ONCE]:
-                writer.writelines(self._lines(line, one))
-            await asyncio.wait_for(writer.drain(), PATIENCE)
+                writer.write(b"".join(self._lines(line, one)))
+            await writer.drain()
             await asyncio.sleep(0)
+        writer.transport.set_write_buffer_limits(high=0)  # wait until all of it is read
         writer.write(_line({"over": True}))
-        await asyncio.wait_for(writer.drain(), PATIENCE)
+        await writer.drain()
+
+
+async def _ended(writer: asyncio.StreamWriter, patience: float) -> None:
+    """Close a connection when all is read that waits for its client; after `patience` seconds break it off."""
+    writer.close()
+    breaking_off = asyncio.get_running_loop().call_later(patience, writer.transport.abort)
+    try:
+        with contextlib.suppress(OSError):
+            await writer.wait_closed()
+    finally:
+        breaking_off.cancel()
 
 
 def _bound(path: Path) -> socket.socket:

@@ -89,6 +89,29 @@ def test_options_that_are_not_wanted_are_refused_once() -> None:
     assert com_port.outgoing() == b""
 
 
+@pytest.mark.parametrize(
+    "said",
+    [
+        bytes.fromhex("FF FA 2C 6B 30") + bytes(62),  # NOTIFY-MODEMSTATE, and bytes of the line
+        bytes.fromhex("FF FA 2C 6B 30 FF FA 2C 6B 30 FF F0"),
+        bytes.fromhex("FF FA 2C 64") + bytes(1023),
+    ],
+)
+def test_a_subnegotiation_without_an_end_is_a_problem(said: bytes) -> None:
+    """Otherwise every answer would vanish in it; what a subnegotiation may be long is none."""
+    com_port = agreed()
+    com_port.feed(said)
+    assert "does not end" in com_port.problem
+
+
+@pytest.mark.parametrize("said", [b"\x2c\x6b" + bytes(62), b"\x2c\x64" + b"firmware 1.0, " * 50])
+def test_a_subnegotiation_that_ends_in_time_is_none_of_the_line(said: bytes) -> None:
+    """A server may send a signature of any length."""
+    com_port = agreed()
+    assert com_port.feed(bytes.fromhex("FF FA") + said + bytes.fromhex("FF F0") + b"answer") == b"answer"
+    assert not com_port.problem
+
+
 @given(st.binary(max_size=64), st.integers(1, 7))
 def test_every_byte_of_the_line_goes_through_both_ways(data: bytes, step: int) -> None:
     """FFH is sent twice, and comes twice; what telnet says in between is no byte of the line."""

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from gateway.protocol.pdu import ReadWords, WriteRam, Written
 from gateway.protocol.registry import PROTOCOLS
-from gateway.trace.frames import Cut, Frame, Way, cut, frames
+from gateway.trace.frames import MOST_STRAY, Cut, Frame, Way, cut, frames
 from gateway.trace.meaning import Meaning
 from gateway.trace.record import LONGEST, Hearing, Told, Unasked, Verdict
 from tests.trace.plays import ANSWER, ASKED, GIVEN, MODBUS, READ, answered, record
@@ -91,6 +91,53 @@ def test_the_reason_of_a_refusal_stands_with_both_frames(name: str) -> None:
     assert answer.is_well_formed
     (_, bad) = taken_apart(record((10.02, ANSWER[:4]), verdict=V.BAD_REPLY))
     assert not bad.is_well_formed
+
+
+@pytest.mark.parametrize(
+    ("told", "expected"),
+    [
+        (record((10.001, READ + ANSWER), early=1), [(READ, V.ECHO), (ANSWER, V.EARLY)]),
+        (record((10.001, READ), (10.002, ANSWER), early=2), [(READ, V.ECHO), (ANSWER, V.EARLY)]),
+        (record((10.001, ANSWER + NOISE), early=1), [(ANSWER, V.EARLY), (NOISE, V.NOISE)]),
+        (
+            record((10.001, NOISE + READ + ANSWER), early=1),
+            [(NOISE, V.NOISE), (READ, V.ECHO), (ANSWER, V.EARLY)],
+        ),
+        (record((10.001, REFUSAL + ANSWER), early=1), [(REFUSAL, V.EARLY), (ANSWER, V.EARLY)]),
+        (record((10.001, NOISE), early=1), [(NOISE, V.NOISE)]),
+        (record((10.3, ANSWER + NOISE), ended=0), [(ANSWER, V.LATE), (NOISE, V.NOISE)]),
+        (record((10.3, NOISE + ANSWER), ended=0), [(NOISE, V.NOISE), (ANSWER, V.LATE)]),
+        (record((10.3, ANSWER), (10.4, ANSWER), ended=0), [(ANSWER, V.LATE), (ANSWER, V.LATE)]),
+        (record((10.3, READ + ANSWER), ended=0), [(READ, V.ECHO), (ANSWER, V.LATE)]),
+        (
+            Unasked(10.0, NOISE + ANSWER + ANSWER, (MODBUS, ASKED)),
+            [(NOISE, V.NOISE), (ANSWER, V.LATE), (ANSWER, V.LATE)],
+        ),
+        (
+            Unasked(10.0, ANSWER * 6, (MODBUS, ASKED)),
+            [*[(ANSWER, V.LATE)] * MOST_STRAY, (ANSWER * (6 - MOST_STRAY), V.NOISE)],
+        ),
+    ],
+)  # fmt: skip
+def test_what_nobody_waited_for_is_well_formed_only_by_itself(
+    told: Told, expected: list[tuple[bytes, Verdict]]
+) -> None:
+    """Echoes, early and late answers, each is a frame of its own; junk with them is none of them."""
+    assert heard(told) == expected
+    for frame in taken_apart(told):
+        assert frame.is_well_formed == (frame.data in (READ, ANSWER, REFUSAL))
+
+
+def test_an_early_answer_of_a_write_is_told_from_the_echo_before_it() -> None:
+    """Though both are the same bytes; each has the time of its own pieces."""
+    write = WriteRam(1, 0xFA01, 1000)
+    frame = MODBUS.encode(write)
+    told = record((10.001, frame[:2]), (10.002, frame[2:]), (10.003, frame), request=write, early=3)
+    assert heard(told) == [(frame, V.ECHO), (frame, V.EARLY)]
+    assert [(f.begin, f.end) for f in taken_apart(told)[1:]] == [
+        (OFFSET + 10.001, OFFSET + 10.002),
+        (OFFSET + 10.003, OFFSET + 10.003),
+    ]
 
 
 PIECES = st.lists(st.binary(max_size=40), max_size=6)

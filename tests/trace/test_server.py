@@ -88,6 +88,32 @@ async def test_the_ring_is_shown_whole_and_then_it_is_over(tmp_path: Path) -> No
         assert await client.is_over()
 
 
+async def test_a_reader_of_the_ring_that_pauses_misses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a pager does, for longer than anything else is waited for; to the last frame, and the mark behind it."""
+    loop, ring, shown = asyncio.get_running_loop(), Ring(10_000), b""
+    for _ in range(2000):
+        ring.add("a", answered())
+    async with served(tmp_path, ring) as made:
+        with socket.socket(socket.AF_UNIX) as client:
+            client.setblocking(False)
+            await loop.sock_connect(client, str(tmp_path / "s"))
+            await loop.sock_sendall(client, RING)
+            shown += await asyncio.wait_for(loop.sock_recv(client, 10), LIMIT)
+            monkeypatch.setattr(server, "PATIENCE", 0.0)
+            (writer,) = made._clients
+            while not writer.transport.get_write_buffer_size() and not writer.is_closing():
+                await asyncio.sleep(0)
+            for _ in range(10):
+                await asyncio.sleep(0)
+            while data := await asyncio.wait_for(loop.sock_recv(client, 65_536), LIMIT):
+                shown += data
+    lines = shown.splitlines()
+    assert len(lines) == 1 + 4000 + 1
+    assert json.loads(lines[-1]) == {"over": True}
+
+
 async def test_a_follower_sees_what_comes(tmp_path: Path) -> None:
     """And nothing of before."""
     ring = Ring(100)
@@ -125,6 +151,56 @@ async def test_a_follower_that_does_not_read_loses_frames_and_is_told_how_many(t
                     made.take("a", answered())  # it says at the next one what was lost
                     told += 1
             assert counted == 2 * told
+
+
+@contextlib.asynccontextmanager
+async def stuck(folder: Path, made: TraceServer) -> AsyncIterator[tuple[socket.socket, Any]]:
+    """Have somebody follow who does not read, until more waits than the kernel takes; and the server's end of it."""
+    loop = asyncio.get_running_loop()
+    with socket.socket(socket.AF_UNIX) as client:
+        client.setblocking(False)
+        await loop.sock_connect(client, str(folder / "s"))
+        await loop.sock_sendall(client, FOLLOW)
+        while not made._followers:
+            await asyncio.sleep(0)
+        (follower,) = made._followers
+        while not follower.lost:
+            made.take("a", answered())
+            await asyncio.sleep(0)
+        yield client, follower.writer.get_extra_info("socket")
+
+
+async def test_who_goes_without_reading_counts_until_the_connection_is_closed(tmp_path: Path) -> None:
+    """No more descriptors are open than clients are counted."""
+    async with served(tmp_path) as made, stuck(tmp_path, made) as (client, connection):
+        client.shutdown(socket.SHUT_WR)
+        while made._followers:
+            await asyncio.sleep(0)
+        assert connection.fileno() >= 0
+        assert len(made._clients) == 1
+
+
+async def test_a_connection_whose_end_is_not_read_is_broken_off(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After a bounded time: the descriptor is free again, and so is the place."""
+    async with served(tmp_path) as made, stuck(tmp_path, made) as (client, connection):
+        monkeypatch.setattr(server, "PATIENCE", 0.0)
+        client.shutdown(socket.SHUT_WR)
+        async with asyncio.timeout(LIMIT):
+            while made._clients:
+                await asyncio.sleep(0)
+        assert connection.fileno() == -1
+
+
+async def test_the_end_of_the_gateway_closes_every_connection(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also of those who do not read."""
+    async with served(tmp_path) as made, stuck(tmp_path, made) as (_, connection):
+        monkeypatch.setattr(server, "LAST_WORDS", 0.0)
+        await asyncio.wait_for(made.stop(), LIMIT)
+        assert connection.fileno() == -1
 
 
 async def test_without_a_follower_nothing_is_worked_on(tmp_path: Path) -> None:
