@@ -315,7 +315,7 @@ class TraceSection(Section):
         None, min_length=1, description="of those files; by default traces in $STATE_DIRECTORY, else beside this file"
     )
     files: int = Field(10, ge=1, le=1000, description="kept there; the oldest go first")
-    pause: Duration = Field(seconds("60s"), ge=1, le=86_400, description="between two of them at the least")
+    pause: Duration = Field(seconds("60s"), ge=0.1, le=86_400, description="between two of them at the least")
 
 class PollSection(Section):
     """Values that are read together."""

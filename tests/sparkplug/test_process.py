@@ -6,6 +6,7 @@ import contextlib
 import json
 import subprocess
 import time
+import urllib.request
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -81,8 +82,9 @@ class Host:
         """Press buttons, one after the other, in one message."""
         self.write(*((f"Control/{name}", True, DataType.BOOLEAN) for name in names))
 
-    def arm(self) -> None:
-        """Take and arm, and wait until that is told."""
+    def arm(self, stage: Stage) -> None:
+        """Take and arm, when F803 has been set, and wait until that is told."""
+        until(lambda: has_timeout(stage), "F803 to be set: an arm before is refused")
         self.press("Take", "Arm")
         self.beat_until(lambda: self.shown.get("Control/Standing") == "armed", "an armed drive")
 
@@ -144,11 +146,22 @@ reconnect_at_most = "1s"
             yield stage, host
 
 
+def has_timeout(stage: Stage) -> bool:
+    """Say whether the gateway has read back the drive's F803."""
+    with urllib.request.urlopen(f"http://127.0.0.1:{stage.web}/metrics", timeout=5) as answer:
+        told = answer.read().decode()
+    return any(
+        float(line.split()[-1]) > 0
+        for line in told.splitlines()
+        if line.startswith("tosvert_drive_communication_timeout_seconds{")
+    )
+
+
 @pytest.mark.hazard("H05")
 def test_a_host_takes_arms_and_runs_a_motor_and_its_death_stops_it(tmp_path: Path) -> None:
     """All by DCMD; heartbeats keep the lease, and STATE offline ends it though they went on until then."""
     with scene(tmp_path) as (stage, host):
-        host.arm()
+        host.arm(stage)
         host.write(("Control/Frequency", 30.0, DataType.DOUBLE), ("Control/Run", True, DataType.BOOLEAN))
         host.beat_until(lambda: host.shown.get("output_frequency") == 30.0, "30 Hz, as the host sees it")
         assert stage.drive["frequency"] == 30.0
@@ -170,7 +183,7 @@ def test_a_host_takes_arms_and_runs_a_motor_and_its_death_stops_it(tmp_path: Pat
 def test_a_host_that_stays_online_without_heartbeats_loses_its_lease(tmp_path: Path) -> None:
     """Its STATE is retained and says online all the time; the motor is stopped all the same."""
     with scene(tmp_path) as (stage, host):
-        host.arm()
+        host.arm(stage)
         host.write(("Control/Frequency", 20.0, DataType.DOUBLE), ("Control/Run", True, DataType.BOOLEAN))
         host.beat_until(lambda: stage.is_running, "a running motor")
         host.state(True)

@@ -34,7 +34,7 @@ FILE = """
 [gateway]
 name = "hall-3"
 [trace]
-pause = "1s"
+pause = "100ms"
 [[line]]
 name = "a"
 port = "{port}"
