@@ -104,7 +104,8 @@ class Resets:
             write = plan_write(state.drive.model, state.drive.codec, state.drive.number, register, 1)
         except BadCommand:  # a catalogue in which it is none to be set
             return None
-        self._to_observe = self._worth_a_look
+        if not any(execution.command.verb is Verb.ARM for execution in state.queue.executions):
+            self._to_observe = self._worth_a_look
         return Execution(command, (write,), marked)
 
     @property
