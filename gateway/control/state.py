@@ -100,6 +100,8 @@ class Queue:
         elif head.strength < execution.strength:
             self._share(head, execution)
             self.clear(Reason.STOPPED, text)
+        elif len(head.joined) >= WAITING:
+            raise NotAdmitted(Reason.BUSY, f"{WAITING} stops wait for this drive already; it is being stopped")
         else:
             self.clear_but_stops(Reason.STOPPED, text)
             self._share(execution, head)

@@ -6,7 +6,8 @@ import asyncio
 
 import pytest
 
-from gateway.control.command import Result, Status, Verb
+from gateway.control.command import Reason, Result, Status, Verb
+from gateway.control.state import WAITING
 from gateway.sim.condition import TripCode
 from tests.control.test_control_line import DASHBOARD, PLC, Stage, play, started
 
@@ -136,3 +137,18 @@ def test_a_frequency_for_a_motor_at_a_preset_speed_takes_effect() -> None:
         assert stage.hertz == 20.0
 
     play(script, preset_frequencies=[15.0, 25.0, 35.0])
+
+
+@pytest.mark.hazard("H24")
+def test_a_flood_of_weaker_stops_is_bounded() -> None:
+    """They share the result of the stronger one as far as there is room; the rest is told so."""
+
+    async def script(stage: Stage) -> None:
+        await started(stage)
+        asked = [asyncio.create_task(stage.ask(Verb.EMERGENCY_STOP, PLC))]
+        asked += [asyncio.create_task(stage.ask(Verb.STOP)) for _ in range(2 * WAITING)]
+        results = [await each for each in asked]
+        assert [result.reason for result in results].count(Reason.BUSY) == WAITING
+        assert stage.bench.drive.inverter.condition.trip_code == TripCode.EMERGENCY
+
+    play(script)
