@@ -184,6 +184,18 @@ def _forms(plan: DrivePlan) -> Iterator[str]:
         yield f"    {drive.protocol} has no block: single reads instead; with a block: {' or '.join(better)}"
     if drive.provision and not plan.planner.has_block:
         yield "    provision = true has no effect: there is no block to set selectors for"
+    if drive.block_write:
+        yield f"    {_block_write(plan)}"
+
+
+def _block_write(plan: DrivePlan) -> str:
+    """Say with which F870 and F871 run commands go with the block read."""
+    drive, blocks = plan.drive, plan.drive.model.blocks
+    if not (plan.uses_block and drive.codec.forms.has_exchange and blocks.has_exchange):
+        return "block_write = true has no effect: no block is read, or nothing can be written with it"
+    if drive.codec.forms.writes_all_or_none:
+        return "run commands go with the block read: F870=1, F871=3 (command and frequency), or F870=1, F871=0"
+    return "run commands go with the block read: F870=1, F871=0 (of two words, X may take one and refuse the other)"
 
 
 def _read(read: PlannedRead) -> str:

@@ -402,6 +402,9 @@ class DriveSection(Section):
     provision: bool = Field(
         False, description="set F875-F879 where they differ from what is best: wears the EEPROM once"
     )
+    block_write: bool = Field(
+        False, description="run commands go with the block read where F870 = 1 (F871 = 3); tried at each arming"
+    )
     wait_time: Duration = Field(0.0, ge=0, le=2, description="F805 as set in the drive")
     poll: list[PollSection] = Field([], description="the model's profile where empty")
     deadband: dict[ValueName, Deadband] = Field({}, description="like mqtt.deadband, for this drive")

@@ -45,6 +45,7 @@ class Point:
     register: Register
     max_age: float
 
+
 COMMAND_BITS = frozenset(  # of FA00, without which a drive cannot be commanded
     ("run", "coast", "emergency_stop", "fault_reset", "frequency_priority", "command_priority")
 )
@@ -69,6 +70,7 @@ class Drive:
     derived: tuple[Derived, ...]
     deadband: Mapping[str, float]
     provision: bool = False
+    block_write: bool = False
     section: DriveSection | None = field(default=None, repr=False)
 
     @property
@@ -241,7 +243,7 @@ def _wrong_control(label: str, drive: DriveSection, model: Model) -> Iterator[st
     elif missing := sorted(COMMAND_BITS - set(command.bits.values())):
         yield f"{label}.control: register 'command' of {model.name} has no bit {', '.join(missing)}"
     elif model.cautions.unanswered.get("command") != "fault_reset":
-        yield f"{label}.control: {model.name}: [cautions] has to say unanswered = {{ command = \"fault_reset\" }}"
+        yield f'{label}.control: {model.name}: [cautions] has to say unanswered = {{ command = "fault_reset" }}'
     connector = model.connector()
     roles = connector.parameters if connector else {}
     asked = {
@@ -367,6 +369,7 @@ def _drive(line: str, section: DriveSection, model: Model, pace: _Pace) -> Drive
         derived=tuple(d for d in model.derived if d.of in points),
         deadband=section.deadband,
         provision=section.provision,
+        block_write=section.block_write and section.control != "off",
         section=section,
     )
 

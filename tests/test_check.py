@@ -127,6 +127,21 @@ def test_what_a_protocol_has_not_got_is_said() -> None:
     assert "set once by the gateway (EEPROM), then reset the drive: F875=1" in said
 
 
+@pytest.mark.parametrize(
+    ("protocol", "said"),
+    [
+        ("modbus-rtu", "go with the block read: F870=1, F871=3 (command and frequency), or F870=1, F871=0"),
+        ("toshiba-binary", "go with the block read: F870=1, F871=0 ("),
+        ("toshiba-ascii", "block_write = true has no effect"),
+    ],
+)
+def test_with_which_selectors_commands_go_with_the_block_is_said(protocol: str, said: str) -> None:
+    """One or two words of it, as the protocol takes them; nothing where nobody may command."""
+    assert said in text(toshiba(protocol, block_write=True, control="direct"))
+    assert "block_write" not in text(toshiba(protocol, block_write=True))
+    assert "with the block read" not in text(toshiba(protocol, block_write=True))
+
+
 def test_the_frames_that_reach_a_group_are_said() -> None:
     """A digit in ASCII, which drives hear that are read in binary."""
     for protocol in ("toshiba-ascii", "toshiba-binary"):

@@ -15,22 +15,12 @@ from gateway.bus.identification import IDENTITY_REGISTERS, Identification
 from gateway.bus.proof import Proof
 from gateway.bus.provision import RESET_MARK, Provision, selector_registers
 from gateway.bus.schedule import Job, on_grid, spread
-from gateway.bus.setpoint import Control, Setpoint, selected
 from gateway.bus.work import Learnt, Task, Work
+from gateway.control.carrying import Form, selected
 from gateway.control.watchdog import control_registers
 from gateway.drives.register import Register
 from gateway.errors import Refusal, Refused
-from gateway.protocol.pdu import (
-    Exchange,
-    Exchanged,
-    Identity,
-    ReadBlock,
-    ReadWords,
-    Reply,
-    Request,
-    Words,
-    Written,
-)
+from gateway.protocol.pdu import Identity, ReadBlock, ReadWords, Reply, Request, Words, Written
 from gateway.site import Drive, PollGroup
 
 FIRST_WITHIN = 0.5  # seconds after a drive is ready, for values that are read seldom
@@ -95,7 +85,6 @@ class DriveReader:
         self._no_text: tuple[int, ...] = ()  # the last block that looked like the display's text and was none
         self._no_text_until = float("-inf")
         self._refusals: Counter[str] = Counter()
-        self._control = Control(drive)
 
     # ---- who is there
 
@@ -117,17 +106,15 @@ class DriveReader:
                 return self._answers(work.read.registers[0], words[0], now)
             case Task.FACT, Words(words) if work.read is not None:
                 return self._fact(work.read, words, now)
-            case (Task.PROVE_BLOCK | Task.PROVE_SINGLE), Words(words):
+            case ((Task.PROVE_BLOCK | Task.PROVE_SINGLE), Words(words)):
                 return self._proven(work, words, now)
             case Task.RECHECK, Words(words) if work.read is not None:
                 return self._rechecked(work.read, words, now)
-            case (Task.AUDIT | Task.CONFIRM), Words(words) if work.read is not None and self._audit is not None:
+            case ((Task.AUDIT | Task.CONFIRM), Words(words)) if work.read is not None and self._audit is not None:
                 self._audit.single(work.read.registers[0], words[0])
                 return Learnt(work.read.values(words))
             case Task.POLL, Words(words) if work.read is not None:
                 return self._polled(work.read, words, now)
-            case Task.POLL, Exchanged(words, failed) if work.read is not None:
-                return self._exchanged(work.read, words, failed, now)
             case Task.TRIP, Words(words) if work.read is not None:
                 return Learnt(work.read.values(words))
             case Task.BLOCK_MODE, Words(words):
@@ -136,8 +123,6 @@ class DriveReader:
                 return self._display_seen(words[0], now)
             case Task.PROVISION, Written() if work.register is not None:
                 return self._provisioned(work.register, now)
-            case Task.VERIFY, Words(words) if work.read is not None:
-                return self._control.verified(work.read, words[0])
         return Learnt()
 
     def _identified(self, identity: Identity, now: float) -> Learnt:
@@ -153,7 +138,6 @@ class DriveReader:
 
     def _stranger(self, reason: str) -> Learnt:
         self.is_set_up = False
-        self._control.end("another drive answers")
         self._pending = None
         return Learnt(stranger=reason)
 
@@ -178,7 +162,6 @@ class DriveReader:
         if self.able.mapping is not None:
             self._proof.candidates = [self.able.mapping]
         self.is_set_up = False
-        self._control.end("the drive was lost")
         self._pending = None
         self._who = self._who.afresh()
         self._forget_refusals()
@@ -200,7 +183,6 @@ class DriveReader:
         It comes after a reset, another identity, or a change of the settings: what was refused before is tried again.
         """
         self.is_set_up = False
-        self._control.end("the drive is set up anew")
         model = self.drive.model
         names = (*IDENTITY_REGISTERS, *((BLOCK_MODE, RESET_MARK) if self._planner.has_block else ()))
         wanted = control_registers(self.drive)
@@ -302,7 +284,6 @@ class DriveReader:
 
     def _start_proof(self, now: float, notes: Sequence[str] = ()) -> Learnt:
         self._as_set = as_set = self._mapping_as_set()
-        self._control.block = selected(self.drive.model, self.facts)
         self._proof.begin()
         if self._provision.awaits_reset(self.facts):  # what is set is known not to be in force
             self._proof.candidates.clear()
@@ -463,9 +444,8 @@ class DriveReader:
     def _block_polled(self, read: PlannedRead, words: Sequence[int], now: float) -> Learnt:
         """Take the block: what is not believed yet is read alone."""
         audit = self._audit
-        again = self._control.polled().once
         if audit is None:
-            return Learnt(read.values(words), once=again)
+            return Learnt(read.values(words))
         stirred = audit.stirred(words)
         if not audit.block(words):
             self._audit = None
@@ -476,7 +456,7 @@ class DriveReader:
         withheld = {register.address for register in untrusted}
         checked = {register.name: register for register in (*untrusted, *stirred)}
         once = [Work(Task.CONFIRM, r.request, r) for r in map(self._alone, checked.values())]
-        return Learnt([pair for pair in read.values(words) if pair[0] not in withheld], once=once + again)
+        return Learnt([pair for pair in read.values(words) if pair[0] not in withheld], once=once)
 
     def _may_be_text(self, read: PlannedRead, words: Sequence[int], now: float) -> bool:
         """Say whether a block may be the display's text, and FA80 has to be looked at before it is believed."""
@@ -499,8 +479,7 @@ class DriveReader:
         self._proof.candidates = [self.able.mapping]
         self.able = replace(self.able, mapping=None)
         self.facts[BLOCK_MODE] = 1
-        ended = self._control.end("FA80 is 1: the block carries the display's text")
-        return Learnt(jobs=self.polls(now), notes=[DISPLAY_NOTE], warnings=ended.warnings)
+        return Learnt(jobs=self.polls(now), notes=[DISPLAY_NOTE])
 
     def _rechecked(self, read: PlannedRead, words: Sequence[int], now: float) -> Learnt:
         found = {r.name: word for r, word in zip(read.carries, words, strict=True) if r is not None}
@@ -515,33 +494,18 @@ class DriveReader:
             learnt.warnings.append(f"changed by somebody else: {titles}; a selector acts after a reset of the drive")
         return learnt
 
-    # ---- its setpoint
+    # ---- its exchange
 
-    def control(self, setpoint: Setpoint | None) -> Learnt:
-        """Take the words that every read of the block is to write from now on; None ends it.
-
-        A drive that is not set up, or whose polls have no block, takes none: `is_carrying` says so.
-        """
-        has_block = any(isinstance(read.request, ReadBlock) for _, reads in self.plan() for read in reads)
-        return self._control.take(setpoint, has_block=has_block and self.is_set_up)
-
-    @property
-    def is_carrying(self) -> bool:
-        """Say whether block reads carry a setpoint, or are about to."""
-        return self._control.setpoint is not None
-
-    def request(self, work: Work) -> Request:
-        """Return the frame of a piece of work as it is to be sent now: a block read takes the setpoint along."""
-        is_block_poll = work.task is Task.POLL and isinstance(work.request, ReadBlock)
-        return self._control.with_setpoint(work.request) if is_block_poll else work.request
-
-    def _exchanged(self, read: PlannedRead, words: Sequence[int], failed: Sequence[int], now: float) -> Learnt:
-        """Take what an exchange read, and what became of its writes."""
-        written = self._control.exchanged(failed)
-        learnt = self._polled(read, words, now)
-        learnt.once += written.once
-        learnt.warnings += written.warnings
-        return learnt
+    def exchange(self) -> Form | None:
+        """Return the exchange of a block poll with what F870 and F871 select; None where there is none."""
+        model, codec = self.drive.model, self.drive.codec
+        if not (self.drive.block_write and self.is_set_up and codec.forms.has_exchange and model.blocks.has_exchange):
+            return None
+        connector = model.connector()
+        codes = [self.facts.get(name) for name in (connector.block_write if connector else ())]
+        requests = (read.request for _, reads in self.plan() for read in reads)
+        block = next((request for request in requests if isinstance(request, ReadBlock)), None)
+        return Form(block, selected(codes, model.write_selectors)) if block is not None else None
 
     # ---- trips
 
@@ -572,7 +536,7 @@ class DriveReader:
         self.able = replace(self.able, mapping=None)
         return Learnt(jobs=self.polls(now), notes=["the block is not answered any more; other reads instead"])
 
-    def on_refused(self, work: Work, sent: Request, refused: Refused, now: float) -> Learnt:
+    def on_refused(self, work: Work, refused: Refused, now: float) -> Learnt:
         """Take a refusal of what was sent: remember it, and serve the values another way."""
         match work:
             case Work(Task.IDENTIFY):
@@ -580,14 +544,10 @@ class DriveReader:
                 return Learnt(is_ready=True) if self.is_set_up else self._set_up(now)
             case Work(Task.PROVISION, register=Register() as register):
                 return self._not_provisioned(register, refused, now)
-            case Work(Task.VERIFY):
-                return self._control.end(f"it cannot be read back: {refused}")
             case Work(Task.DISPLAY):
                 return self._display_seen(0, now)
             case Work(Task.TRIP | Task.BLOCK_MODE):
                 return Learnt()
-            case Work(Task.POLL) if isinstance(sent, Exchange):
-                return self._control.end(f"exchange: {refused}")
             case Work(Task.PROVE_BLOCK | Task.PROVE_SINGLE):
                 self._proof.drop()
                 return self._next_proof(now)

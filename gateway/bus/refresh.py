@@ -21,6 +21,7 @@ from gateway.control.watchdog import contradictions
 from gateway.protocol.codec import Answering, Codec, NoSuchForm
 from gateway.protocol.pdu import (
     EVERY_DRIVE,
+    Exchange,
     Identify,
     ReadBlock,
     ReadWords,
@@ -40,6 +41,7 @@ FORMS: Mapping[type[Request], str] = {
     Identify: "identification",
     WriteRam: "write",
     WriteStored: "write to the EEPROM",
+    Exchange: "block exchange",
 }
 
 
@@ -235,11 +237,15 @@ def _exchange(line: Line, codec: Codec, request: Request, processing: float) -> 
 
 
 def _turns(drive: Drive) -> list[Request]:
-    """Return what a keepalive may be: a single read, the indirect block, or a frame of a command."""
+    """Return what a keepalive may be: a single read, the indirect block, a frame of a command, or both in one."""
     blocks = drive.model.blocks
     requests: list[Request] = [ReadWords(drive.number, 0), WriteRam(drive.number, 0, 0)]
     if drive.codec.forms.has_block and blocks.indirect_read_maximum:
-        requests.append(ReadBlock(drive.number, blocks.indirect_read_address, blocks.indirect_read_maximum))
+        read = ReadBlock(drive.number, blocks.indirect_read_address, blocks.indirect_read_maximum)
+        requests.append(read)
+        if drive.block_write and drive.codec.forms.has_exchange and blocks.has_exchange:
+            words = (0,) * blocks.indirect_write_words
+            requests.append(Exchange(drive.number, read.address, read.count, blocks.indirect_write_address, words))
     return requests
 
 

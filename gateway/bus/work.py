@@ -26,7 +26,6 @@ class Task(Enum):
     PROVISION = "provision"
     TRIP = "trip"
     DISPLAY = "display"
-    VERIFY = "verify"
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import replace
 
 from gateway import site
 from gateway.bus import traffic
@@ -19,7 +20,6 @@ from gateway.bus.reader import DriveReader, phases
 from gateway.bus.refresh import turn, unkept, worst_case
 from gateway.bus.response import Traffic
 from gateway.bus.schedule import AHEAD, Job, NotBefore, Schedule, Send
-from gateway.bus.setpoint import Setpoint
 from gateway.bus.work import Learnt, Task, Work
 from gateway.clock import Clock
 from gateway.control.composing import COMMAND
@@ -28,7 +28,17 @@ from gateway.control.state import Errand
 from gateway.errors import BadReply, LineDown, NoReply, Refusal, Refused, TooLate
 from gateway.image import DriveImage, LinkState
 from gateway.metrics import DriveStats, LineStats, Responses
-from gateway.protocol.pdu import EVERY_DRIVE, ReadWords, Request, Words, WriteRam, WriteStored
+from gateway.protocol.pdu import (
+    EVERY_DRIVE,
+    Exchange,
+    Exchanged,
+    ReadBlock,
+    ReadWords,
+    Request,
+    Words,
+    WriteRam,
+    WriteStored,
+)
 from gateway.trace.record import Tap
 
 log = logging.getLogger("gateway.bus")
@@ -302,7 +312,8 @@ class LineWorker:
     async def _carry(self, exchanger: Exchanger, commanded: Commanded) -> None:
         """Carry out one frame of a command, or a look for it."""
         station, control = self._stations[commanded.drive], self._controls.controls[commanded.drive]
-        errand, request = commanded.errand, commanded.errand.request
+        errand = self._with_block(station, control, commanded.errand)
+        request = errand.request
         control.sending(errand)
         station.stats.exchanges += 1
         if isinstance(request, WriteStored):
@@ -326,6 +337,37 @@ class LineWorker:
             self._carried(station, control, errand, answered)
         self._watch(station)
 
+    def _with_block(self, station: _Station, control: DriveControl, errand: Errand) -> Errand:
+        """Let a command go with the read of the block where that takes less time than both by themselves."""
+        execution, planner, now = errand.execution, station.planner, self._clock.now()
+        found = control.state.carrying.carried(execution) if execution is not None else None
+        if execution is None or found is None:
+            return errand
+        exchange, count = found
+        alone = sum(planner.cost(write.request) for write in execution.ahead[:count])
+        poll = self._block_poll(station)
+        if poll is not None and poll.may_begin(now):
+            alone += planner.cost(poll.work.request)
+        if planner.cost(exchange) >= alone:
+            return errand
+        execution.batch = count
+        return replace(errand, request=exchange)
+
+    def _block_poll(self, station: _Station) -> Job[Work] | None:
+        """Return the poll of a drive's block."""
+        jobs = self._schedule.jobs(station.drive.name)
+        polls = (job for job in jobs if job.work.task is Task.POLL and isinstance(job.work.request, ReadBlock))
+        return next(polls, None)
+
+    def _read_along(self, station: _Station, reply: Exchanged, done: float) -> None:
+        """Take the block that came with a command as the poll that was due, or as one more."""
+        poll = self._block_poll(station)
+        if poll is None or not station.link.state.is_connected:
+            return
+        job = poll if poll.may_begin(done) else Job(poll.drive, poll.work, None, done, done)
+        words = Words(reply.words, reply.is_tripped)
+        self._learn(station, job, station.reader.on_reply(poll.work, words, done), done)
+
     def _carry_refused(self, station: _Station, control: DriveControl, errand: Errand, refused: Refused) -> None:
         """Take a refusal of a command's frame; a wrong checksum says that it was damaged on its way."""
         now = self._clock.now()
@@ -335,6 +377,8 @@ class LineWorker:
         self._trip(station, refused.is_tripped, now)
         if refused.reason in (Refusal.CHECKSUM, Refusal.OTHER):
             control.on_silence(errand, str(refused), now)
+        elif errand.execution is not None and isinstance(errand.request, Exchange):
+            control.state.carrying.was_refused(errand.execution, refused, now)
         else:
             control.on_refused(errand, refused)
 
@@ -358,6 +402,8 @@ class LineWorker:
                 pairs = list(enumerate(reply.words, request.address))
                 station.image.apply(pairs, answered.done, self._clock.wall())
         control.on_reply(errand, reply, answered.done)
+        if errand.execution is not None and isinstance(reply, Exchanged):
+            self._read_along(station, reply, answered.done)
 
     def _answered_command(self, station: _Station, now: float, *, is_good: bool = True) -> None:
         """Take a sign of life: silences before it are no longer in a row; who is there, only reads can tell."""
@@ -378,7 +424,7 @@ class LineWorker:
         started = self._clock.now()
         station.stats.exchanges += 1
         asked_since = job.due if job.period else job.waits_since
-        request = station.reader.request(job.work)
+        request = job.work.request
         if isinstance(request, WriteStored):
             station.stats.eeprom_writes[request.address] += 1
             if self._count_stored is not None:
@@ -388,15 +434,13 @@ class LineWorker:
         except (NoReply, BadReply) as error:
             self._unanswered(station, job, error, started)
         except Refused as refused:
-            self._refused(station, job, request, refused, started)
+            self._refused(station, job, refused, started)
         else:
             if job.work.task is Task.POLL and job.period is not None and job.period in station.stats.responses:
                 station.stats.responses[job.period].observe(answered.done - asked_since)
             self._answered(station, job, answered)
 
-    def _refused(
-        self, station: _Station, job: Job[Work], sent: Request, refused: Refused, started: float
-    ) -> None:
+    def _refused(self, station: _Station, job: Job[Work], refused: Refused, started: float) -> None:
         """Take a refusal; one for a wrong checksum says that the request was damaged on its way."""
         if refused.reason is Refusal.CHECKSUM:
             self._unanswered(station, job, BadReply(str(refused)), started)
@@ -405,7 +449,7 @@ class LineWorker:
         station.stats.refusals += 1
         self._stats.errors["refused"] += 1
         self._heard(station, now, is_good=False)
-        self._learn(station, job, station.reader.on_refused(job.work, sent, refused, now))
+        self._learn(station, job, station.reader.on_refused(job.work, refused, now))
         if station.link.state.is_connected:
             self._trip(station, refused.is_tripped, now)
 
@@ -448,20 +492,6 @@ class LineWorker:
             station.trip_looked = now
             self._add(name, station.reader.on_trip(), now)
 
-    def control(self, drive: str, setpoint: Setpoint | None) -> None:
-        """Have every block read of a drive write these words, or end that; see `is_carrying`."""
-        station = self._stations[drive]
-        learnt = station.reader.control(setpoint)
-        for warning in learnt.warnings:
-            log.warning("%s: %s", drive, warning)
-        if station.link.state.is_connected:
-            self._add(drive, learnt, self._clock.now())
-        self._alarm.ring()
-
-    def is_carrying(self, drive: str) -> bool:
-        """Say whether a drive's block reads carry a setpoint, or are about to."""
-        return self._stations[drive].reader.is_carrying
-
     def _heard(self, station: _Station, now: float, *, is_good: bool = True) -> None:
         """Take note of an answer; nothing says that one with an error starts the drive's F803 anew."""
         stats = station.stats
@@ -497,9 +527,7 @@ class LineWorker:
             station.image.apply(learnt.words, now, self._clock.wall())
         station.image.set_reset_needed(reader.is_reset_needed)
         if learnt.jobs is not None:
-            kept = [kept for kept in self._schedule.jobs(name) if kept.work.task is Task.VERIFY and kept is not job]
-            self._schedule.set_jobs(name, [*learnt.jobs, *kept])
-            self._schedule.turn = self._turn()
+            self._set_jobs(station, learnt.jobs)
         else:
             self._follow_up(station, job, now)
         self._add(name, learnt, now)
@@ -529,6 +557,13 @@ class LineWorker:
     def _follow_up(self, station: _Station, job: Job[Work], now: float) -> None:
         if (later := station.reader.follow_up(job.work, now)) is not None:
             self._schedule.add(later)
+
+    def _set_jobs(self, station: _Station, jobs: list[Job[Work]]) -> None:
+        """Do these for a drive from now on, and nothing else; its commands may go with its block, or no longer."""
+        self._schedule.set_jobs(station.drive.name, jobs)
+        self._schedule.turn = self._turn()
+        if (control := self._controls.controls.get(station.drive.name)) is not None:
+            control.state.carrying.offer(station.reader.exchange())
 
     def _turn(self) -> float:
         """Return in what time everything that is read as fast as possible is promised to be read once."""
@@ -611,10 +646,8 @@ class LineWorker:
             learnt = station.reader.on_silence(job.work, now)
             self._tell(name, learnt)
             if learnt.jobs is not None:
-                self._schedule.set_jobs(name, learnt.jobs)
-                self._schedule.turn = self._turn()
+                self._set_jobs(station, learnt.jobs)
             else:
                 self._follow_up(station, job, now)
             self._schedule.hold(name, station.quiet_until)
             self._schedule.add(Job(name, station.reader.identify(), None, now, AHEAD))
-

@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
-from gateway.control.command import Answer, Command, Reason, Result, Status
-from gateway.control.composing import COMMAND, has_bit
+from gateway.control.admission import EXECUTIVE
+from gateway.control.command import Answer, Command, Reason, Result, Status, Verb
+from gateway.control.composing import COMMAND, has_bit, runs
 from gateway.control.writes import PlannedWrite
 from gateway.errors import Refusal, Refused
 from gateway.protocol.pdu import ReadWords, Reply, Request, Words
@@ -57,8 +58,11 @@ class Execution:
     status: Status | None = None
     joined: list[tuple[Command, Answer]] = field(default_factory=list)  # equal stops that came meanwhile
     beside: tuple[Reason, str] = (Reason.NONE, "")
-    _was_sent_before: bool = False  # before the frame that is leaving now
+    is_alone: bool = False  # no frame carries it together with other things
+    batch: int = 1  # writes that the frame which is leaving now carries
+    _was_sent_before: bool = False  # before that frame
     _place: int = 0
+    _on_its_way: int = 0  # writes before this place were sent
     _silent: str = ""
     _silences: int = 0
     _vain: int = 0
@@ -82,7 +86,15 @@ class Execution:
         return self.writes[self._place]
 
     @property
+    def ahead(self) -> Sequence[PlannedWrite]:
+        """Return the writes that are left, the one that it is at first."""
+        return self.writes[self._place :]
+
+    @property
     def _first_phase(self) -> Phase:
+        """Return what a write begins with; one that has gone with another in one frame is only read back."""
+        if self._place < self._on_its_way:
+            return Phase.VERIFYING
         return Phase.COMPARING if self.write.wears_eeprom else Phase.WRITING
 
     @property
@@ -119,7 +131,14 @@ class Execution:
     @property
     def is_at_motion(self) -> bool:
         """Say whether the frame that is sent may set a motor in motion, or change its speed."""
-        return self.phase is Phase.WRITING and self.write.may_start and not self.is_stop
+        is_writing = self.phase is Phase.WRITING and not self.is_stop
+        return is_writing and any(write.may_start for write in self.ahead[: self.batch])
+
+    @property
+    def is_for_armed(self) -> bool:
+        """Say whether it is one that only an armed drive is given."""
+        is_run_word = any(w.register.name == COMMAND and runs(w.register, w.word) for w in self.writes)
+        return self.command.verb in (*EXECUTIVE, Verb.ARM) or is_run_word
 
     @property
     def is_to_be_counted(self) -> bool:
@@ -145,6 +164,7 @@ class Execution:
     def next(self, now: float) -> Request | None:
         """Return the next frame; None when it is over, waits to be counted, or is too late."""
         self.look_at(now)
+        self.batch = 1
         if self.phase in (Phase.OVER, Phase.RESERVING):
             return None
         if self.phase is Phase.WRITING:
@@ -176,11 +196,12 @@ class Execution:
     def sending(self) -> None:
         """Take note that the frame of `next` leaves now."""
         self._was_sent_before = self.was_sent
-        self.was_sent |= self.phase is Phase.WRITING
+        if self.phase is Phase.WRITING:
+            self.was_sent, self._on_its_way = True, self._place + self.batch
 
-    def too_late(self, now: float) -> None:
-        """Take that the frame did not leave after all: the line was not free in time."""
-        self.was_sent = self._was_sent_before
+    def undone(self, now: float) -> None:
+        """Take that the frame did nothing: the line was not free in time, or the drive has no such exchange."""
+        self.was_sent, self._on_its_way = self._was_sent_before, self._place
         self.look_at(now)
 
     def on_reply(self, reply: Reply | None) -> None:
@@ -210,9 +231,16 @@ class Execution:
         elif self.is_insistent:
             self._in_vain(Reason.NOT_READ_BACK, f"{name} reads {word:04X}H")
         elif self._silent:
-            self.finish(Status.FAILED, Reason.NO_ANSWER, f"{self._silent}; {name} reads {word:04X}H: not done")
+            text = f"{self._silent}; {name} reads {word:04X}H: not done{self._sent_with_it}"
+            self.finish(Status.FAILED, Reason.NO_ANSWER, text)
         else:
-            self.finish(Status.FAILED, Reason.NOT_READ_BACK, f"{name} reads {word:04X}H")
+            self.finish(Status.FAILED, Reason.NOT_READ_BACK, f"{name} reads {word:04X}H{self._sent_with_it}")
+
+    @property
+    def _sent_with_it(self) -> str:
+        """Say which writes went in the same frame as the one that it is at, and are not read back any more."""
+        others = [write.register.name for write in self.writes[self._place + 1 : self._on_its_way]]
+        return f"; {', '.join(others)} was sent with it" if others else ""
 
     def _in_vain(self, reason: Reason, text: str) -> None:
         """Write a stop again, but not for ever."""
@@ -222,10 +250,11 @@ class Execution:
             self.finish(Status.FAILED, reason, text)
 
     def _next_write(self) -> None:
-        self._silent, self._silences = "", 0
+        self._silences = 0
         if self._place + 1 < len(self.writes):
             self._place += 1
             self.phase = self._first_phase
+            self._silent = self._silent if self._place < self._on_its_way else ""
         else:
             self.finish(Status.DONE)
 

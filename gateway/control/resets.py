@@ -14,7 +14,7 @@ from gateway.control.admission import NotAdmitted
 from gateway.control.command import Answer, Command, Reason, Result, Status, Verb
 from gateway.control.composing import COMMAND, FREQUENCY, HELD_FREQUENCY
 from gateway.control.execution import Execution, Phase
-from gateway.control.state import DriveState, Errand, Standing, is_for_armed
+from gateway.control.state import DriveState, Errand, Standing
 from gateway.control.writes import BadCommand, plan_write
 from gateway.drives.register import Register
 from gateway.errors import Refusal
@@ -48,6 +48,7 @@ class Resets:
         """Take that the drive was reset: it is set up anew, and armed anew. Whether it stands is seen then."""
         state = self.state
         state.needs_set_up, state.is_marked = True, False
+        state.carrying.forget(was_reset=True)
         self._to_observe = []
         self.is_stop_lost |= state.queue.has_stop
         state.queue.clear(Reason.OFFLINE, reason)
@@ -124,7 +125,7 @@ class Resets:
         """Return the look to be made before arming, or before a run command: it may have been reset unseen."""
         if execution.command.verb is Verb.ARM and execution.phase is Phase.WRITING and self._to_observe:
             return self.state.look(self._to_observe[0])
-        is_first = execution.phase is Phase.WRITING and not execution.is_stop and is_for_armed(execution)
+        is_first = execution.phase is Phase.WRITING and not execution.is_stop and execution.is_for_armed
         return self._look if self._is_watched and is_first and now > self._seen + MARK_FRESH else None
 
     def next_look(self, now: float) -> Errand | None:

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from gateway.control import watchdog
-from gateway.control.admission import EXECUTIVE, SETPOINTS, Admission, NotAdmitted
-from gateway.control.command import GATEWAY, Answer, Command, Reason, Source, Status, Verb
+from gateway.control.admission import SETPOINTS, Admission, NotAdmitted
+from gateway.control.carrying import Carrying
+from gateway.control.command import GATEWAY, Answer, Command, Reason, Source, Status
 from gateway.control.composing import COMMAND, has_bit, runs
 from gateway.control.execution import Execution
 from gateway.control.lease import Lease
@@ -38,11 +39,12 @@ class Standing(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Errand:
-    """One frame for a drive: of a command, or a look at a register."""
+    """One frame for a drive: of a command, a look at a register, or of the trial of its exchange."""
 
     request: Request
     execution: Execution | None = None
     look: Register | None = None
+    is_trial: bool = False
 
     @property
     def not_after(self) -> float:
@@ -157,7 +159,7 @@ class Queue:
 
     def end_motion(self, reason: str) -> None:
         """End what only an armed drive is given."""
-        for execution in [e for e in self.executions if not e.is_stop and is_for_armed(e)]:
+        for execution in [e for e in self.executions if not e.is_stop and e.is_for_armed]:
             self.end(execution, Reason.NOT_ARMED, f"disarmed: {reason}")
 
 
@@ -181,8 +183,10 @@ class DriveState:
     queue: Queue = field(default_factory=Queue)
     lease: Lease = field(init=False)
     admission: Admission = field(init=False)
+    carrying: Carrying = field(init=False)
 
     def __post_init__(self) -> None:
+        self.carrying = Carrying(self.drive)
         self.lease = Lease(self.settings.lease)
         self.admission = Admission(self.drive, self.settings)
 
@@ -231,9 +235,3 @@ class DriveState:
     def look(self, register: Register) -> Errand:
         """Return a read of one register."""
         return Errand(ReadWords(self.drive.number, register.address), look=register)
-
-
-def is_for_armed(execution: Execution) -> bool:
-    """Say whether a waiting command is one that only an armed drive is given."""
-    is_run_word = any(w.register.name == COMMAND and runs(w.register, w.word) for w in execution.writes)
-    return execution.command.verb in (*EXECUTIVE, Verb.ARM) or is_run_word

@@ -27,8 +27,9 @@ class Forms:
     """What a protocol has, whatever the model.
 
     `numbers` are those that a drive can be addressed by. `has_direct_block` is a read of consecutive numbers,
-    `has_block` the indirect block, `has_exchange` a block written and read in one frame, `has_ram_write` a write
-    of a stored parameter that spares the EEPROM, `has_digit_groups` a broadcast to a digit, `says_tripped` a flag
+    `has_block` the indirect block, `has_exchange` a block written and read in one frame, `writes_all_or_none` that
+    of its words a drive takes all or none (17H), not each by itself (X, E6581657 4.1.3), `has_ram_write` a write of a
+    stored parameter that spares the EEPROM, `has_digit_groups` a broadcast to a digit, `says_tripped` a flag
     in every answer.
     """
 
@@ -36,6 +37,7 @@ class Forms:
     has_direct_block: bool = False
     has_block: bool = False
     has_exchange: bool = False
+    writes_all_or_none: bool = False
     has_identification: bool = False
     has_ram_write: bool = False
     has_digit_groups: bool = False

@@ -71,7 +71,14 @@ class ModbusRtu(FrameCodec):
     writes_by_10h: bool = False
 
     name = "modbus-rtu"
-    forms = Forms(NUMBERS, has_direct_block=True, has_block=True, has_exchange=True, has_identification=True)
+    forms = Forms(
+        NUMBERS,
+        has_direct_block=True,
+        has_block=True,
+        has_exchange=True,
+        writes_all_or_none=True,
+        has_identification=True,
+    )
 
     def dialogue(self, request: Request) -> Dialogue:
         """Return the frame of a request and its answers: number 0 has none, a fault reset is only refused."""

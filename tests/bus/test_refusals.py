@@ -36,20 +36,20 @@ def refuse_a_direct_block(of: DriveReader) -> Learnt:
     """Refuse FD00-FD03 in one."""
     registers = [of.drive.model.registers[name] for name in ("output_frequency", "status")]
     read = PlannedRead(ReadWords(1, 0xFD00, 2), tuple(registers))
-    return of.on_refused(Work(Task.POLL, read.request, read), read.request, NO_SUCH, 1.0)
+    return of.on_refused(Work(Task.POLL, read.request, read), NO_SUCH, 1.0)
 
 
 def refuse_a_value(of: DriveReader) -> Learnt:
     """Refuse a single read as often as it takes."""
     register = of.drive.model.registers["input_voltage"]
     work = Work(Task.POLL, ReadWords(1, register.address), PlannedRead(ReadWords(1, register.address), (register,)))
-    return [of.on_refused(work, work.request, NO_SUCH, float(time)) for time in range(REFUSALS)][-1]
+    return [of.on_refused(work, NO_SUCH, float(time)) for time in range(REFUSALS)][-1]
 
 
 def refuse_the_block(of: DriveReader) -> Learnt:
     """Refuse the indirect block."""
     work = Work(Task.POLL, ReadBlock(1, 0x1875, 5))
-    return of.on_refused(work, work.request, NO_SUCH, 1.0)
+    return of.on_refused(work, NO_SUCH, 1.0)
 
 
 def reset(of: DriveReader) -> None:
@@ -107,12 +107,12 @@ def test_refusals_before_a_reset_do_not_count_with_those_after_it() -> None:
     block = Work(Task.POLL, ReadBlock(1, 0x1875, 5))
     busy = Refused("busy", Refusal.UNABLE)
     for _ in range(BUSY_BLOCKS - 1):
-        of.on_refused(block, block.request, busy, 1.0)
-    of.on_refused(value, value.request, NO_SUCH, 1.0)
+        of.on_refused(block, busy, 1.0)
+    of.on_refused(value, NO_SUCH, 1.0)
     mapping = of.able.mapping
     reset(of)
     of.able = Abilities(mapping=mapping)  # proved again
-    assert of.on_refused(block, block.request, busy, 3.0).jobs is None
-    assert of.on_refused(value, value.request, NO_SUCH, 3.0).jobs is None
+    assert of.on_refused(block, busy, 3.0).jobs is None
+    assert of.on_refused(value, NO_SUCH, 3.0).jobs is None
     assert of.able.mapping == mapping
     assert of.absent == set()

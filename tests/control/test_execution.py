@@ -127,14 +127,14 @@ def test_a_frame_that_did_not_leave_in_time_was_not_sent() -> None:
     played = Played(Verb.FREQUENCY, "30")
     assert played.sent(0.99) == WriteRam(1, 0xFA01, 3000)
     assert played.execution.not_after == 1.0
-    played.execution.too_late(1.01)
+    played.execution.undone(1.01)
     assert played.end == (Status.REFUSED, Reason.EXPIRED)
     played = Played(Verb.RUN, "30")
     for answer in (Written(), Words((3000,))):
         played.sent()
         played.execution.on_reply(answer)
     assert played.sent(0.99) == WriteRam(1, 0xFA00, 0xC400)
-    played.execution.too_late(1.01)
+    played.execution.undone(1.01)
     assert played.end == (Status.FAILED, Reason.EXPIRED)
 
 

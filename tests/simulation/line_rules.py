@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from gateway.control.carrying import TRIAL
 from gateway.control.command import Verb
 from gateway.control.composing import COMMAND, FREQUENCY, runs
 from gateway.drives.model import Model
@@ -36,6 +37,7 @@ class Known:
     armed: float = float("-inf")
     reset: float = float("-inf")  # when the drive has forgotten what it was told, or was not to be reached
     quiet: float | None = None  # since when it is to be left alone
+    held: int | None = None  # FA01 before the last trial of the exchange, which is to put it back
 
 
 @dataclass(slots=True)
@@ -109,8 +111,26 @@ class LineRules:
         if not self.world.looks_at_write:
             self.unaware += 1
             return  # it was on its way to the port when the process was stopped: nobody could call it back
+        block = [write for write in reading.writes if write.address == recorder.SELECTED]
+        if block:
+            self._block(self.known[block[0].number], tuple(write.word for write in block))
         for write in reading.writes:
-            self._write(self.known[write.number], write)
+            if write not in block:
+                self._write(self.known[write.number], write)
+
+    def _block(self, known: Known, words: tuple[int, ...]) -> None:
+        """Judge what is written where F870 and F871 select: a trial while the motor stands, or a command."""
+        registers, memory = known.drive.model.registers, known.drive.inverter.memory
+        names = (COMMAND, FREQUENCY)[: 2 if self.setup.protocol == "modbus-rtu" else 1]
+        given = dict(zip(names, words, strict=False))
+        self.world.note("block", known.name, *(f"{word:04X}" for word in words))
+        if given == {name: TRIAL[name] for name in names}:
+            if known.drive.inverter.is_running or memory.word(COMMAND) or known.armed == float("-inf"):
+                self.tell(f"{known.name}: the exchange was tried while it runs, is commanded, or was never armed")
+            known.held = memory.word(FREQUENCY)
+        elif given != {COMMAND: 0, FREQUENCY: known.held} and given != {COMMAND: 0}:
+            for name, word in given.items():
+                self._write(known, Written(known.drive.number, registers[name].address, word, is_stored=False))
 
     def _write(self, known: Known, write: Written) -> None:
         self.world.note("write", known.name, f"{write.address:04X}", f"{write.word:04X}", write.is_stored)
@@ -140,6 +160,8 @@ class LineRules:
 
     def _setpoint(self, known: Known, word: int) -> None:
         """Judge a setpoint: each value is asked for by one command only."""
+        if word == known.held:
+            return
         order, text, now = known.asked.get(word), f"{known.name}: {word / HUNDREDTHS} Hz", self.world.now
         if order is None or order.delivered is None:
             self.tell(f"{text} was written, and nobody has asked for it")

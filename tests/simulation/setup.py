@@ -45,6 +45,7 @@ class Setup:
     is_as_shipped: bool = False
     command_timeout: float = 1.0
     max_age: float = 2.0
+    carries: bool = False  # run commands go with the block read
     model: str = "vf-nc3"  # of the drives that are really there
 
     @property
@@ -87,6 +88,7 @@ class Setup:
             "timeout_action": self.action,
             "command_timeout": _span(self.command_timeout),
             "frequency": {"min": 0.0, "max": 60.0},
+            "block_write": self.carries,
         }
         drives = [{"name": f"d{number}", "number": number, **drive} for number in self.numbers]
         return {
@@ -109,7 +111,9 @@ class Setup:
         if not self.is_as_shipped:
             registers |= {"communication_timeout": round(self.timeout * 10), "timeout_action": F804[self.action]}
         spoken = "modbus-rtu" if self.protocol == "modbus-rtu" else "toshiba"
-        drive = {"model": self.model, "protocol": spoken, "registers": registers}
+        drive: dict[str, Any] = {"model": self.model, "protocol": spoken, "registers": registers}
+        if self.carries:
+            drive |= {"block_read": [1, 2, 3, 4, 5], "block_write": [1, 3] if spoken == "modbus-rtu" else [1, 0]}
         drives = [{"number": number, **drive} for number in self.numbers]
         table = {"baud": self.baud, "seed": hash_of(seed), "processing_time": _span(PROCESSING), "drive": drives}
         return SimulatedLineConfig.model_validate(table)
@@ -143,6 +147,7 @@ def drawn(chance: Random) -> Setup:
         poll=chance.choice((0.4, 0.7, 1.0)),
         is_as_shipped=chance.random() < 0.15,
         command_timeout=chance.choice((0.2, 0.4, 1.0, 1.0)),
+        carries=chance.random() < 0.4,
     )
 
 
