@@ -9,10 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.bus.response import EVEN, LEAST_REST, SLACK, Stream, Traffic, turn
-from tests.bus.fast_line import COSTS, PERIODS, FastLine, Played, traffic
+from tests.bus.fast_line import COSTS, PERIODS, DisturbedLine, FastLine, Played, disturbed, traffic
 from tests.soak import FACTOR
 
-LINES = 10_000 * FACTOR  # 10^5 in `make soak`
+PORTIONS = range(10)  # 10^5 lines in all, 10^6 in `make soak`
+LINES = 10_000 * FACTOR
+DISTURBED = 1_000 * FACTOR
 
 
 def test_a_poll_that_is_alone_takes_its_own_time() -> None:
@@ -79,10 +81,12 @@ def play(seed: int) -> tuple[Traffic, Played]:
     return any_line, line.play(chance.choice((30, 60, 120)))
 
 
-def test_no_answer_is_later_than_was_proved_and_nothing_starves() -> None:
-    """10^4 lines by chance, 10^5 in `make soak`: fitting, full and overfull ones; and the proof is not empty."""
+@pytest.mark.played
+@pytest.mark.parametrize("portion", PORTIONS)
+def test_no_answer_is_later_than_was_proved_and_nothing_starves(portion: int) -> None:
+    """Lines by chance: fitting, full and overfull ones; and the proof is not empty."""
     kept = overfull = near = 0
-    for seed in range(LINES):
+    for seed in range(portion * LINES, (portion + 1) * LINES):
         any_line, played = play(seed)
         worst = any_line.worst
         for period, late in played.latest.items():
@@ -93,6 +97,26 @@ def test_no_answer_is_later_than_was_proved_and_nothing_starves() -> None:
     assert kept > 0.15 * LINES
     assert overfull > 0.15 * LINES
     assert near > 0.01 * LINES
+
+
+@pytest.mark.played
+@pytest.mark.parametrize("portion", PORTIONS)
+def test_lost_exchanges_and_silent_drives_make_no_answer_later_than_was_proved(portion: int) -> None:
+    """Drives are left alone behind a loss, silent ones are tried, commands come: the bound of `disturbed` lines."""
+    losses = tries = near = 0
+    for seed in range(portion * DISTURBED, (portion + 1) * DISTURBED):
+        chance = Random(seed)
+        line = disturbed(chance)
+        played = DisturbedLine(line, chance)
+        played.play(200)
+        worst = line.traffic.worst
+        for period, late in played.latest.items():
+            assert late <= worst[period] + 1e-6, (seed, period)
+        losses, tries = losses + played.losses, tries + played.tries
+        near += any(late > 0.5 * worst[period] for period, late in played.latest.items())
+    assert losses > DISTURBED
+    assert tries > DISTURBED
+    assert near > 0.05 * DISTURBED
 
 
 @given(
