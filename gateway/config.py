@@ -418,7 +418,12 @@ class GroupSection(Section):
 def server_address(port: str) -> tuple[str, int] | None:
     """Return host and port of a serial server; None for a device, ValueError where the address is no address."""
     scheme = next((scheme for scheme in SERVER_SCHEMES if port.startswith(scheme)), None)
-    return None if scheme is None else address(port.removeprefix(scheme))
+    if scheme is None:
+        return None
+    try:
+        return address(port.removeprefix(scheme))
+    except ValueError as error:
+        raise ValueError(f'an address and a port are wanted: "{scheme}10.0.0.7:4001"') from error
 
 def _port(value: str) -> str:
     if "\0" in value:
@@ -455,6 +460,15 @@ class LineSection(Section):
     probe_at_most: Duration = Field(seconds("5s"), gt=0, description="longest interval of tries")
     drive: list[DriveSection] = Field(min_length=1)
     group: list[GroupSection] = Field([], description="drives that are written to together")
+
+    @model_validator(mode="after")
+    def _tried_ever_more_seldom(self) -> LineSection:
+        """Refuse tries of silent drives that would come more often as time goes by."""
+        if "probe_at_most" in self.model_fields_set and self.probe_at_most < self.probe_every:
+            least = f"{self.probe_every:g} s"
+            given = f"{self.probe_at_most:g} s"
+            raise ValueError(f"probe_at_most {given} is shorter than probe_every: give {least} or more")
+        return self
 
     @model_validator(mode="after")
     def _switchable(self) -> LineSection:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -182,7 +183,8 @@ def _contradictions(table: Mapping[str, Any], models: Catalogue) -> list[str]:
     for i, line in enumerate(lines if isinstance(lines, list) else []):
         if isinstance(line, dict):
             for key in ("name", "port"):
-                wrong += _only_once(once, f"line {key}", line.get(key), f"line[{i}].{key}")
+                value = _one_port(line.get(key)) if key == "port" else line.get(key)
+                wrong += _only_once(once, f"line {key}", value, f"line[{i}].{key}")
             wrong += _group_contradictions(once, line, f"line[{i}]")
     valid = list(configuration.valid_parts(table))
     for key, line, drive in valid:
@@ -258,6 +260,14 @@ def _wrong_control(label: str, drive: DriveSection, model: Model) -> Iterator[st
         yield f'{label}.on_loss: "quiesce" leaves the stop to F804: set timeout_action to "stop" or "coast"'
 
 
+def _one_port(port: object) -> object:
+    """Return of a serial server its address, whatever is spoken there, and any other port as it is."""
+    with contextlib.suppress(ValueError):
+        if isinstance(port, str) and (server := configuration.server_address(port)) is not None:
+            return f"{server[0].lower()}:{server[1]}"
+    return port
+
+
 def _only_once(
     seen: dict[tuple[str, object], str], what: str, value: object, key: str, hint: str = ""
 ) -> Iterator[str]:
@@ -302,7 +312,7 @@ def _line(section: LineSection, models: Catalogue) -> Line:
         margin=(section.answer_margin or usual_margin(section.port)) + section.rts_delay_before,
         silent_share=section.silent_share,
         probe_every=section.probe_every,
-        probe_at_most=section.probe_at_most,
+        probe_at_most=max(section.probe_every, section.probe_at_most),
         drives=tuple(_drive(section.name, drive, models[drive.model], pace) for drive in section.drive),
         groups=tuple(DriveGroup(group.name, tuple(group.drives)) for group in section.group),
         rs485=section.rs485,

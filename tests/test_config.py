@@ -125,7 +125,8 @@ DRIVE = ("line", 0, "drive", 0)
         (("line", 0, "parity"), "mark", "'even', 'odd' or 'none'"),
         (("line", 0, "port"), "ttyUSB0", 'give the whole path: "/dev/ttyUSB0"'),
         (("line", 0, "port"), "telnet://x:1", '"socket://10.0.0.7:4001", "rfc2217://10.0.0.7:4001"'),
-        (("line", 0, "port"), "rfc2217://10.0.0.7", "an address and a port are wanted"),
+        (("line", 0, "port"), "rfc2217://10.0.0.7", 'an address and a port are wanted: "rfc2217://10.0.0.7:4001"'),
+        (("line", 0, "probe_at_most"), "500ms", "probe_at_most 0.5 s is shorter than probe_every: give 1 s or more"),
         (("line", 0, "rs485"), "yes", "'auto', 'kernel', 'rts' or 'off'"),
         (("line", 0, "local_echo"), True, "'auto', 'on' or 'off'"),
         (("line", 0, "rts_on_send"), False, 'line[0] (a): rts_on_send: only with rs485 = "kernel" or "rts"'),
@@ -185,6 +186,23 @@ def test_settings_of_rts_that_do_nothing_or_spoil_answers_are_refused(line: dict
     wrong = table()
     wrong["line"][0] |= line
     assert any(said in each for each in errors(wrong)), errors(wrong)
+
+
+def test_two_lines_cannot_share_a_serial_server() -> None:
+    """Whatever is spoken there: two masters on one line cannot work."""
+    wrong = table()
+    wrong["line"][0]["port"] = "socket://Server:4001"
+    second = copy.deepcopy(wrong["line"][0]) | {"name": "b", "port": "rfc2217://server:4001"}
+    second["drive"][0] |= {"name": "pump-2", "number": 2}
+    wrong["line"] = [wrong["line"][0], second | {"drive": second["drive"][:1]}]
+    with pytest.raises(BadConfig, match=r"line\[1\]\.port: line port 'server:4001' is taken by line\[0\]\.port"):
+        build(wrong)
+
+
+def test_silent_drives_are_not_tried_more_often_than_asked() -> None:
+    """The default of the longest interval gives way to a longer first one."""
+    line = build(wrong_at("line", 0, "probe_every", value="20s")).lines[0]
+    assert (line.probe_every, line.probe_at_most) == (20.0, 20.0)
 
 
 def test_each_kind_of_port_has_its_own_margin() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import math
 from collections.abc import Callable
@@ -72,10 +71,13 @@ class Exchanger:
         self._was_on_time = False
         self._last_end = clock.now()
 
-    async def ready(self) -> None:
-        """Wait until the line may carry a request; one that babbles is told by the exchange itself."""
-        with contextlib.suppress(BadReply):
+    async def ready(self) -> BadReply | None:
+        """Wait until the line may carry a request; return why it may not where it babbles."""
+        try:
             await self._line.quiet()
+        except BadReply as error:
+            return error
+        return None
 
     async def exchange(
         self, codec: Codec, request: Request, processing: float, not_after: float = math.inf

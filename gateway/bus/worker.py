@@ -244,10 +244,10 @@ class LineWorker:
         match found:
             case Send(job):
                 self._is_rung = False
-                await exchanger.ready()
+                babble = await exchanger.ready()
                 if not self._is_rung or is_owed:  # else a command came within the gap: it goes first
                     self._controls.keepalive.let_through(now)
-                    await self._exchange(exchanger, job)
+                    await self._exchange(exchanger, job, babble)
             case NotBefore(when):
                 await self._alarm.wait_until(min(when, wake))
             case None:
@@ -324,6 +324,8 @@ class LineWorker:
             )
         except TooLate:
             station.stats.exchanges -= 1
+            if isinstance(request, WriteStored):
+                station.stats.eeprom_writes[request.address] -= 1
             control.on_too_late(errand, self._clock.now())
         except (NoReply, BadReply) as error:
             self._count(station, error)
@@ -418,8 +420,11 @@ class LineWorker:
         when = self._clock.now() + self._line.probe_every
         self._schedule.probe(station.drive.name, station.reader.identify(), when)
 
-    async def _exchange(self, exchanger: Exchanger, job: Job[Work]) -> None:
-        """Carry out one exchange; whatever comes of it is finished here and nowhere else."""
+    async def _exchange(self, exchanger: Exchanger, job: Job[Work], babble: BadReply | None = None) -> None:
+        """Carry out one exchange; whatever comes of it is finished here and nowhere else.
+
+        `babble` is why the line is not free for it: then nothing is sent, nor waited for a second time.
+        """
         station = self._stations[job.drive]
         started = self._clock.now()
         station.stats.exchanges += 1
@@ -430,6 +435,8 @@ class LineWorker:
             if self._count_stored is not None:
                 self._count_stored(job.drive, request.address)
         try:
+            if babble is not None:
+                raise babble
             answered = await exchanger.exchange(station.drive.codec, request, station.processing_of(request))
         except (NoReply, BadReply) as error:
             self._unanswered(station, job, error, started)

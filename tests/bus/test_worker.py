@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from gateway.errors import BadReply
 from gateway.image import LinkState
 from gateway.sim.faults import Fault, Kind
 from tests.bus.rig import FIVE, Bench, bench, nc3, run
@@ -297,5 +298,26 @@ def test_a_port_that_opens_and_is_lost_at_once_is_tried_ever_more_seldom() -> No
         lost = len(stage.twins)
         await asyncio.sleep(1.0)
         assert len(stage.twins) == lost + 1
+
+    run(lambda: bench([nc3()]), play)
+
+
+def test_a_line_that_babbles_costs_each_poll_one_wait() -> None:
+    """Who has waited a second for silence in vain does not wait for it once more before the frame."""
+
+    async def play(stage: Bench) -> None:
+        await asyncio.sleep(2.0)
+
+        async def never_quiet() -> float:
+            await asyncio.sleep(1.0)
+            raise BadReply("babble")
+
+        stage.twins[-1].quiet = never_quiet  # type: ignore[method-assign]
+        stage.line_stats.errors.clear()
+        begun = asyncio.get_running_loop().time()
+        while stage.link("d1") is not LinkState.OFFLINE:
+            await asyncio.sleep(0.01)
+        passed = asyncio.get_running_loop().time() - begun
+        assert passed == pytest.approx(stage.line_stats.errors["bad_reply"], abs=0.2)
 
     run(lambda: bench([nc3()]), play)
