@@ -1,8 +1,9 @@
 """Runs the tests in three parts, each in the way that suits it, and ends with 1 if any part fails.
 
-`python -m tools.suite [ARGUMENTS OF PYTEST]`. Tests that need nothing but a processor share all of them; the whole
-daemon in virtual time does too, and is not measured, for measuring takes three times as long as playing; of the tests
-with real programs, which mostly wait, two files are under way at a time.
+`python -m tools.suite [ARGUMENTS OF PYTEST]`. Tests that need nothing but a processor share all of them; so do
+those that go through many thousands of inputs, or play the whole daemon in virtual time, whose coverage is not
+measured, for measuring takes three times as long; of the tests with real programs, which mostly wait, two files are
+under way at a time.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ class Part:
 
 
 PARTS = (
-    Part("alone", "not e2e and not played", ("-n", "auto", "--cov", "--cov-branch", "--cov-report=")),
-    Part("played", "played", ("-n", "auto")),
+    Part("measured", "not e2e and not unmeasured", ("-n", "auto", "--cov", "--cov-branch", "--cov-report=")),
+    Part("unmeasured", "unmeasured", ("-n", "auto")),
     Part("with real programs", "e2e", ("-n", "2", "--dist", "loadfile", "--cov", "--cov-branch", "--cov-append")),
 )
 

@@ -226,6 +226,7 @@ def disturbed_group(chance: Random) -> set[Verdict]:
     return told
 
 
+@pytest.mark.unmeasured
 def test_whatever_goes_wrong_each_verdict_is_what_its_drive_holds() -> None:
     """Random lines, groups and faults; no drive outside the group is written to, and none twice."""
     told = [disturbed_group(Random(seed)) for seed in range(30 * FACTOR)]

@@ -120,6 +120,7 @@ NUMBERED = st.dictionaries(
 )
 
 
+@pytest.mark.unmeasured
 @given(NUMBERED)
 def test_every_member_is_reached_once_and_no_other_configured_drive(numbered: dict[tuple[str, int], bool]) -> None:
     """By frames that the codecs can make, and that drives outside the group do not obey."""

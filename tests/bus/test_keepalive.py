@@ -349,6 +349,7 @@ def longest_gaps(line: Neighbourhood, seconds: float) -> dict[str, float]:
     return {drive: play.gaps[drive] * PER_TIMEOUT / line.timeouts[drive] for drive in living}
 
 
+@pytest.mark.unmeasured
 @pytest.mark.hazard("H06")
 @pytest.mark.hazard("H30")
 @given(neighbourhoods())

@@ -147,6 +147,7 @@ async def calm_margins(protocol: str, f803: str) -> dict[int, float]:
         return line.least_margins()
 
 
+@pytest.mark.unmeasured
 @pytest.mark.hazard("H06")
 @pytest.mark.hazard("H30")
 @pytest.mark.parametrize("protocol", ["modbus-rtu", "toshiba-ascii", "toshiba-binary"])

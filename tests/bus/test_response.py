@@ -81,7 +81,7 @@ def play(seed: int) -> tuple[Traffic, Played]:
     return any_line, line.play(chance.choice((30, 60, 120)))
 
 
-@pytest.mark.played
+@pytest.mark.unmeasured
 @pytest.mark.parametrize("portion", PORTIONS)
 def test_no_answer_is_later_than_was_proved_and_nothing_starves(portion: int) -> None:
     """Lines by chance: fitting, full and overfull ones; and the proof is not empty."""
@@ -99,7 +99,7 @@ def test_no_answer_is_later_than_was_proved_and_nothing_starves(portion: int) ->
     assert near > 0.01 * LINES
 
 
-@pytest.mark.played
+@pytest.mark.unmeasured
 @pytest.mark.parametrize("portion", PORTIONS)
 def test_lost_exchanges_and_silent_drives_make_no_answer_later_than_was_proved(portion: int) -> None:
     """Drives are left alone behind a loss, silent ones are tried, commands come: the bound of `disturbed` lines."""

@@ -309,6 +309,7 @@ def disturbed_write(protocol: str, chance: Random) -> Verdict | None:
     return told[0] if told else None
 
 
+@pytest.mark.unmeasured
 @pytest.mark.hazard("H15")
 @pytest.mark.hazard("H16")
 @every_protocol

@@ -156,6 +156,7 @@ KINDS = [Kind.DROP, Kind.LATE, Kind.TRUNCATE, Kind.FLIP, Kind.ECHO, Kind.DUPLICA
 VALUE = {Kind.LATE: 0.08, Kind.TRUNCATE: 4.0, Kind.FLIP: 3.0}
 
 
+@pytest.mark.unmeasured
 @pytest.mark.hazard("H16")
 @pytest.mark.hazard("H17")
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.value)

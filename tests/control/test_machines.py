@@ -233,5 +233,5 @@ class CommandPath(RuleBasedStateMachine):
         assert {id(r.command) for r in self.results} == {id(c) for c in self.asked}
 
 
-TestCommandPath = pytest.mark.hazard("H04", "H10", "H11")(CommandPath.TestCase)
+TestCommandPath = pytest.mark.unmeasured(pytest.mark.hazard("H04", "H10", "H11")(CommandPath.TestCase))
 TestCommandPath.settings = settings(max_examples=200 * soak.FACTOR, stateful_step_count=40, deadline=None)

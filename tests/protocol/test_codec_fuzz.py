@@ -41,6 +41,7 @@ class Figures:
     undetectable: int = 0
 
 
+@pytest.mark.unmeasured
 @pytest.mark.hazard("H17")
 @pytest.mark.parametrize("name", NAMES)
 def test_a_hundred_thousand_damaged_answers(name: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -332,6 +332,7 @@ def requests(draw: st.DrawFn) -> dict[str, Any]:
     return {"do": do} | {key: draw(KEYS[key]) for key in chosen}
 
 
+@pytest.mark.unmeasured
 @given(st.lists(requests(), min_size=1, max_size=15), st.randoms(use_true_random=False))
 @settings(max_examples=50 * FACTOR)
 def test_no_request_is_fatal(asked: list[dict[str, Any]], rng: Random) -> None:

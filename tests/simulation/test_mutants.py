@@ -25,7 +25,7 @@ from gateway.mqtt import commands
 from gateway.mqtt.message import Message
 from tests.simulation import trial
 
-pytestmark = pytest.mark.played
+pytestmark = pytest.mark.unmeasured
 SEEDS = 200  # trials at the most until a mutant is found out
 
 _sample = DriveImage.sample

@@ -9,7 +9,7 @@ from tests.simulation import trial
 from tests.simulation.scenarios import SCENARIOS
 
 SEEDS = 200
-pytestmark = pytest.mark.played
+pytestmark = pytest.mark.unmeasured
 LONG_DAYS = 8
 PARTS = 4  # tests a scenario, so that a failure says where to look sooner
 
