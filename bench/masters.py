@@ -19,6 +19,9 @@ ANSWER = 5 + 2 * WORDS  # characters
 GAP_CHARACTERS = 3.5
 BITS = 11
 TIMEOUT = 0.2  # seconds
+SINGLES = {"trip_code": 0xFC90, "cumulative_operation_time": 0xFE14}
+RATES = {BLOCK: 0.25, SINGLES["trip_code"]: 2.0, SINGLES["cumulative_operation_time"]: 5.0}  # seconds
+IDLE = 0.001  # seconds
 
 
 def bare_loop(port: str, baud: int, drives: int) -> None:
@@ -87,12 +90,49 @@ def minimalmodbus(port: str, baud: int, drives: int) -> None:
             continue  # a lost frame; the line counts
 
 
+def _at_rates(port: str, baud: int, drives: int, *, in_batches: bool) -> None:
+    """Poll every drive at `RATES` by pymodbus' synchronous client: what is most overdue first, or rate by rate."""
+    from pymodbus.client import ModbusSerialClient
+
+    client = ModbusSerialClient(port, baudrate=baud, parity="N", stopbits=2, timeout=TIMEOUT, retries=0)
+    client.connect()
+    start = time.monotonic()
+    due = {(number, address): start for address in RATES for number in range(1, drives + 1)}
+    while True:
+        now = time.monotonic()
+        ready = [key for key in due if due[key] <= now]  # by rate, the fastest first
+        if not ready:
+            time.sleep(IDLE)
+            continue
+        key = ready[0] if in_batches else min(ready, key=due.__getitem__)
+        number, address = key
+        due[key] += RATES[address]
+        try:
+            client.read_holding_registers(address, count=WORDS if address == BLOCK else 1, device_id=number)
+        except Exception:  # as above
+            client.connect()
+
+
+def due_first(port: str, baud: int, drives: int) -> None:
+    """Poll what is most overdue."""
+    _at_rates(port, baud, drives, in_batches=False)
+
+
+def in_batches(port: str, baud: int, drives: int) -> None:
+    """Poll whatever is due, the fastest rate of all drives first."""
+    _at_rates(port, baud, drives, in_batches=True)
+
+
 MASTERS = {
     "bare loop": bare_loop,
     "pymodbus sync": pymodbus_sync,
     "pymodbus async": pymodbus_async,
     "minimalmodbus": minimalmodbus,
+    "pymodbus, due first": due_first,
+    "pymodbus, in batches": in_batches,
 }
+
+TIMED = ("pymodbus, due first", "pymodbus, in batches")  # these poll at rates; all others as fast as they can
 
 if __name__ == "__main__":
     MASTERS[sys.argv[1]](sys.argv[2], int(sys.argv[3]), int(sys.argv[4]))
