@@ -196,6 +196,11 @@ class BrokerSection(Section):
         seconds("2s"), gt=0, le=60, description="a command that says it is older is refused"
     )
 
+    @property
+    def label(self) -> str:
+        """Return what the log calls the broker."""
+        return self.url
+
     @model_validator(mode="after")
     def _sound(self) -> BrokerSection:
         if self.password is not None and self.user is None:

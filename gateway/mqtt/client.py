@@ -20,7 +20,7 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 from gateway.config import BrokerSection, MqttSection
 from gateway.errors import BadConfig
 from gateway.mqtt import access, payload, reasons, topics
-from gateway.mqtt.connection import BrokerAway, LastError, Made, close
+from gateway.mqtt.made import BrokerAway, LastError, Made, close
 
 CONNECT_LIMIT = 5.0  # seconds, for TCP and for the TLS handshake each
 LARGEST_PACKET = 64 * 1024  # bytes that the broker may send us in one packet
