@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import random
 from collections.abc import Sequence
 
@@ -23,8 +22,6 @@ from gateway.mqtt.outgoing import Outgoing
 from gateway.mqtt.publisher import Publisher
 from gateway.mqtt.uplink import Uplink
 
-log = logging.getLogger("gateway.mqtt")
-
 STEPS = 4  # owed values sent at a stretch: some 0.2 ms, so that a line's timing does not suffer
 
 
@@ -44,7 +41,8 @@ class Bridge(Uplink):
         chance: random.Random | None = None,
         door: Door | None = None,
     ) -> None:
-        super().__init__(section, stats, clock, chance, log)
+        super().__init__(section, stats, clock, chance)
+        self.name = section.origin
         self._section = section
         self._gateway = gateway
         self._introduced = client.introduction(section, gateway)

@@ -18,8 +18,6 @@ from gateway.mqtt.outgoing import Outgoing
 from gateway.mqtt.reception import Ears, Reception
 from gateway.mqtt.socket_loop import SocketLoop
 
-log = logging.getLogger("gateway.mqtt")
-
 ANSWER_LIMIT = 10.0  # seconds from CONNECT to CONNACK
 LEAVE_LIMIT = 2.0  # seconds from the last words to the end
 NO_RECEIVE_MAXIMUM = 65_535  # messages of QoS 1 and 2 under way (MQTT 5 3.2.2.3.3)
@@ -53,8 +51,9 @@ class Connection:
         self._last_reason = made.reason
         self._answer: Any = None
         self._table = section.table
+        self._log = logging.getLogger(section.channel)
         self._was_refused = False
-        self._reception = Reception(made.client, stats, section.table)
+        self._reception = Reception(made.client, stats, section)
         self._socket = SocketLoop(made.client, self._reception, self)
         self.outgoing = Outgoing(made, section, stats, self._socket.write_soon)
         self._news = asyncio.Event()
@@ -92,7 +91,8 @@ class Connection:
     def _on_publish(self, _client: Any, _data: Any, _mid: int, code: Any, _properties: Any) -> None:
         if code.is_failure and not self._was_refused:
             self._was_refused = True
-            log.warning("the broker refuses messages: %s", reasons.of_code(code.value, code.getName(), self._table))
+            why = reasons.of_code(code.value, code.getName(), self._table)
+            self._log.warning("the broker refuses messages: %s", why)
 
     def _on_socket_close(self, _client: Any, _data: Any, _sock: Any) -> None:
         self._socket.detach()

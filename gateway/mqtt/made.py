@@ -15,11 +15,16 @@ class BrokerAway(GatewayError):
 
 
 class Terms(Protocol):
-    """What a section of the configuration says of a connection: its table, how much may wait, and how it is sent."""
+    """What a section of the configuration says of a connection: its table, its log, how much may wait, the QoS."""
 
     @property
     def table(self) -> str:
         """Return the name of the section."""
+        ...
+
+    @property
+    def channel(self) -> str:
+        """Return the channel of the log."""
         ...
 
     @property

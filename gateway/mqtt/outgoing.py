@@ -14,8 +14,6 @@ from gateway.metrics import MqttStats
 from gateway.mqtt.made import Made, Terms
 from gateway.mqtt.publisher import FOR_EVER
 
-log = logging.getLogger("gateway.mqtt")
-
 LARGEST_OVERHEAD = 32  # bytes of a PUBLISH beside topic and payload
 PACKET_IDS = 60_000  # messages of QoS 1 and 2 that can be told apart, with a margin
 RESERVE = 256  # messages beyond the queue that may tell what became of commands: values must not keep that back
@@ -33,6 +31,7 @@ class Outgoing:
         self._make_expiry = made.expiry
         self._correlate = made.correlation
         self._stats = stats
+        self._log = logging.getLogger(section.channel)
         self._qos = section.qos
         self._flush_soon = flush_soon
         self._expiries: dict[int, Any] = {FOR_EVER: None}
@@ -72,7 +71,7 @@ class Outgoing:
         size = len(text if isinstance(text, bytes) else text.encode())
         if len(topic) + size + LARGEST_OVERHEAD <= self.largest:
             return False
-        log.warning("%s: larger than the %d bytes that the broker takes", topic, self.largest)
+        self._log.warning("%s: larger than the %d bytes that the broker takes", topic, self.largest)
         return True
 
     def _publish(

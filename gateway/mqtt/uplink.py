@@ -36,13 +36,12 @@ class Uplink(ABC):
         stats: MqttStats,
         clock: Clock,
         chance: random.Random | None,
-        log: logging.Logger,
     ) -> None:
         access.read(section)  # what is missing or wrong now is better known before anything starts
         self._terms = section
         self._stats = stats
         self._clock = clock
-        self._log = log
+        self._log = logging.getLogger(section.channel)
         self._backoff = Backoff(section.reconnect_after, section.reconnect_at_most, chance or random.SystemRandom())
         self._connection: Connection | None = None
         self._in_flight = client.IN_FLIGHT

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import random
 from collections.abc import Sequence
 
@@ -23,8 +22,6 @@ from gateway.sparkplug.listener import Listener
 from gateway.sparkplug.node import Node
 from gateway.sparkplug.session import Happening, Phase
 
-log = logging.getLogger("gateway.sparkplug")
-
 STEPS = 1  # messages sent at a stretch: a birth takes 0.3 ms, and a line's timing must not suffer
 
 
@@ -41,7 +38,7 @@ class EdgeNode(Uplink):
         chance: random.Random | None = None,
         door: Door | None = None,
     ) -> None:
-        super().__init__(section, stats, clock, chance, log)
+        super().__init__(section, stats, clock, chance)
         self._section = section
         controls = door.controls if door is not None else {}
         self.node = Node(section, gateway, image, stats, controls, door.lines if door is not None else {})

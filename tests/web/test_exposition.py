@@ -14,7 +14,7 @@ from gateway import site
 from gateway.control.state import Standing
 from gateway.control.wear import MEMORY, Wear
 from gateway.image import LinkState, Quality
-from gateway.metrics import Responses
+from gateway.metrics import MqttStats, Responses
 from gateway.web.exposition import families
 from tests.web.rig import NOW, Rig, table
 
@@ -81,7 +81,7 @@ def busy() -> Rig:
     rig.ledger.dropped = 6
     rig.image.by_name["pump-1"].set_tripped(True)
     rig.image.by_name["pump-1"].set_reset_needed(True)
-    mqtt, tcp = rig.stats.mqtt, rig.stats.tcp
+    mqtt, tcp = rig.stats.brokers.setdefault("", MqttStats()), rig.stats.tcp
     mqtt.is_connected, mqtt.connects, mqtt.published, mqtt.dropped, mqtt.waiting = True, 2, 900, 4, 17
     mqtt.inbox_dropped = 5
     sparkplug = rig.stats.sparkplug

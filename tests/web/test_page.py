@@ -10,6 +10,7 @@ import pytest
 
 from gateway import site
 from gateway.image import LinkState, Quality
+from gateway.metrics import MqttStats
 from gateway.web import page
 from tests.web.rig import NOW, WALL, Rig, drive, table
 
@@ -155,7 +156,7 @@ def test_many_bad_values_are_counted_not_listed() -> None:
 def test_the_document_says_it_all(rig: Rig) -> None:
     """Lines, drives, broker, times; and it is strict JSON."""
     rig.stats.lines["a"].load = 0.123456
-    rig.stats.mqtt.is_connected = True
+    rig.stats.brokers[""] = MqttStats(is_connected=True)
     rig.clock.moment += 0.5
     rig.image.by_name["fan"].set_link(LinkState.OFFLINE, "no answer")
     document = page.as_document(judged(rig), rig.built, rig.stats, rig.clock.wall())
