@@ -103,7 +103,8 @@ def test_sparkplug_takes_the_connection_of_a_broker() -> None:
 
 def test_sparkplug_names_a_broker_that_is_there() -> None:
     """And has no url besides; without any it says what is missing."""
-    assert "no broker is called 'clod'; known: plant, cloud" in wrong([PLANT, CLOUD], {"group_id": "g", "broker": "clod"})
+    named = {"group_id": "g", "broker": "clod"}
+    assert "no broker is called 'clod'; known: plant, cloud" in wrong([PLANT, CLOUD], named)
     both = {"group_id": "g", "broker": "plant", "url": "mqtt://own"}
     assert "give one of the two" in wrong([PLANT, CLOUD], both)
     assert "there is no [mqtt] to take it from" in wrong(None, {"group_id": "g"})

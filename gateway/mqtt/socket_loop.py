@@ -124,7 +124,7 @@ class SocketLoop:
             self._write_corked()
         else:
             self._client.loop_write()
-        wants_write = bool(self._client.want_write())
+        wants_write = bool(self._client.want_write()) or not self._pushed()
         if self._fd >= 0 and wants_write is not self._is_writing:
             self._is_writing = wants_write
             if wants_write:
@@ -132,6 +132,14 @@ class SocketLoop:
             else:
                 self._loop.remove_writer(self._fd)
         return not wants_write
+
+    def _pushed(self) -> bool:
+        """Write what a WebSocket has taken of paho and not written yet; say whether that is all."""
+        push = getattr(self._client.socket(), "push", None)
+        try:
+            return push is None or bool(push())
+        except OSError:
+            return True  # reading says why the connection is lost
 
     def _write_corked(self) -> None:
         """Write several messages as one segment: paho hands them to the socket one by one."""
