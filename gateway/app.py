@@ -98,7 +98,13 @@ class App:
         self.bridges = [self._bridge(section) for section in config.brokers]
         self.edge_node = (
             EdgeNode(
-                config.sparkplug, config.gateway.name, self.image, self.stats.sparkplug, self.clock, door=self.door
+                config.sparkplug,
+                config.gateway.name,
+                self.image,
+                self.stats.sparkplug,
+                self.clock,
+                door=self.door,
+                keeper=self.store,
             )
             if config.sparkplug
             else None

@@ -19,6 +19,7 @@ from gateway.mqtt.outgoing import Outgoing
 from gateway.mqtt.uplink import Uplink
 from gateway.sparkplug.device import Moment
 from gateway.sparkplug.listener import Listener
+from gateway.sparkplug.memory import Keeper, Memory
 from gateway.sparkplug.node import Node
 from gateway.sparkplug.session import Happening, Phase
 
@@ -37,11 +38,13 @@ class EdgeNode(Uplink):
         clock: Clock,
         chance: random.Random | None = None,
         door: Door | None = None,
+        keeper: Keeper | None = None,
     ) -> None:
         super().__init__(section, stats, clock, chance)
         self._section = section
         controls = door.controls if door is not None else {}
         self.node = Node(section, gateway, image, stats, controls, door.lines if door is not None else {})
+        self._memory = None if keeper is None else Memory(keeper, self.node.topics)
         self._listener = Listener(section, self.node, stats, clock, door)
         image.subscribe(self._on_change)
         if controls and door is not None:
@@ -49,6 +52,13 @@ class EdgeNode(Uplink):
             door.on_event(self._on_event)
 
     # ---- the connection
+
+    async def run(self) -> None:
+        """Go on counting connections from the last one, then do as any uplink."""
+        last = await self._memory.last() if self._memory is not None else None
+        if last is not None:
+            self.node.session.bd_seq = last
+        await super().run()
 
     def _introduction(self) -> Introduction:
         """Return as what the edge node connects: its will is the NDEATH of this very connection."""
@@ -59,6 +69,8 @@ class EdgeNode(Uplink):
 
     def _knocked(self) -> None:
         self.node.session.connecting()
+        if self._memory is not None:
+            self._memory.keep(self.node.session.bd_seq)
 
     def _begin(self, connection: Connection) -> None:
         self.node.take(Happening.CONNECTED)
