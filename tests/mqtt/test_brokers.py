@@ -69,6 +69,7 @@ class Plant:
 
 
 @pytest.mark.hazard("H04")
+@pytest.mark.hazard("H37")
 def test_one_name_at_two_brokers_is_two_controllers() -> None:
     """The lease is that of the one who took it; the other is told whose it is, and cannot give it back."""
     made = Plant()
@@ -135,6 +136,7 @@ def test_an_id_is_known_where_it_came_from() -> None:
 
 
 @pytest.mark.hazard("H28")
+@pytest.mark.hazard("H37")
 def test_a_broker_without_commands_is_not_listened_to() -> None:
     """Nothing is subscribed; what comes all the same is ignored, and results of others are told there."""
     made = Plant(commands=False)

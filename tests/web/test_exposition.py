@@ -169,6 +169,16 @@ def test_drive_counters_are_shown(busy: Rig) -> None:
     assert value(busy, "tosvert_drive_timeouts_total", line="b", drive="fan") == 0
 
 
+def test_brokers_with_names_are_told_apart() -> None:
+    """By a label; one that has counted nothing yet is there as well."""
+    brokers = [{"name": name, "url": f"mqtt://{name}"} for name in ("plant", "cloud")]
+    rig = Rig(site.build(table(mqtt=brokers), "test", Path()))
+    rig.stats.brokers["cloud"] = MqttStats(is_connected=True, published=7)
+    assert value(rig, "tosvert_mqtt_connected", broker="cloud") == 1
+    assert value(rig, "tosvert_mqtt_published_total", broker="cloud") == 7
+    assert value(rig, "tosvert_mqtt_connected", broker="plant") == 0
+
+
 def test_northbound_counters_are_shown(busy: Rig) -> None:
     """MQTT and MODBUS-TCP, codes in hexadecimal as the standard writes them."""
     assert value(busy, "tosvert_mqtt_connected") == 1

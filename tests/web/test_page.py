@@ -153,6 +153,17 @@ def test_many_bad_values_are_counted_not_listed() -> None:
     )
 
 
+def test_every_broker_with_a_name_is_in_the_document() -> None:
+    """And all of them are connected only where each is."""
+    brokers = [{"name": name, "url": f"mqtt://{name}"} for name in ("plant", "cloud")]
+    rig = Rig(site.build(table(mqtt=brokers), "test", Path()))
+    rig.stats.brokers = {"plant": MqttStats(is_connected=True), "cloud": MqttStats()}
+    for cloud in (False, True):
+        rig.stats.brokers["cloud"].is_connected = cloud
+        told = page.as_document(judged(rig), rig.built, rig.stats, rig.clock.wall())["mqtt"]
+        assert told == {"connected": cloud, "brokers": {"plant": {"connected": True}, "cloud": {"connected": cloud}}}
+
+
 def test_the_document_says_it_all(rig: Rig) -> None:
     """Lines, drives, broker, times; and it is strict JSON."""
     rig.stats.lines["a"].load = 0.123456
