@@ -181,6 +181,7 @@ async def test_the_end_is_said_and_the_connection_closed_in_order(broker: Mosqui
         assert heard.newest()[f"{ROOT}/availability"] == "offline"
         assert heard.newest()[f"{FREQUENCY}/quality"] == "offline"
     assert not made.stats.is_connected
+    broker.stop()  # so that all of its log is there
     assert any(line.endswith(f"Client tosvert-{GATEWAY} disconnected.") for line in broker.log)
 
 
