@@ -13,12 +13,13 @@ from gateway import __version__, systemd
 from gateway.bus.serial_line import open_line
 from gateway.bus.worker import LineWorker, Opener
 from gateway.clock import Clock, SystemClock
+from gateway.config import MqttSection
 from gateway.control.command import Result
 from gateway.control.door import Door, LineBell
 from gateway.control.ledger import Ledger
 from gateway.errors import GatewayError
 from gateway.image import Image, LinkState
-from gateway.metrics import DriveStats, LineStats, Stats
+from gateway.metrics import DriveStats, LineStats, MqttStats, Stats
 from gateway.modbus_tcp.server import ModbusTcpServer
 from gateway.mqtt.bridge import Bridge
 from gateway.site import Site
@@ -93,14 +94,17 @@ class App:
             self.door.on_event(tracing.on_event)
         for line, worker in zip(site.lines, self.workers, strict=True):
             self.door.connect(LineBell(line.name, tuple(d.name for d in line.drives), worker.ring, worker.announce))
-        self.bridge = (
-            Bridge(config.mqtt, config.gateway.name, self.image, self.stats.mqtt, self.clock, door=self.door)
-            if config.mqtt
-            else None
-        )
+        self.stats.brokers = {section.origin: MqttStats() for section in config.brokers}
+        self.bridges = [self._bridge(section) for section in config.brokers]
         self.edge_node = (
             EdgeNode(
-                config.sparkplug, config.gateway.name, self.image, self.stats.sparkplug, self.clock, door=self.door
+                config.sparkplug,
+                config.gateway.name,
+                self.image,
+                self.stats.sparkplug,
+                self.clock,
+                door=self.door,
+                keeper=self.store,
             )
             if config.sparkplug
             else None
@@ -114,6 +118,10 @@ class App:
             WebServer(config.web, self.image, self.stats, site, self.clock, self.door.ledger) if config.web else None
         )
         self._stop = asyncio.Event()
+
+    def _bridge(self, section: MqttSection) -> Bridge:
+        stats = self.stats.brokers[section.origin]
+        return Bridge(section, self.site.config.gateway.name, self.image, stats, self.clock, door=self.door)
 
     def _count_event(self, drive: str, event: str, _reason: str) -> None:
         self.stats.drives[drive].events[event] += 1
@@ -191,8 +199,8 @@ class App:
             for line, worker in zip(self.site.lines, self.workers, strict=True)
         ]
         others = [_start("housekeeping", self._keep_house())]
-        if self.bridge is not None:
-            others.append(_start("mqtt", self.bridge.run()))
+        for bridge in self.bridges:
+            others.append(_start(f"mqtt {bridge.name}".strip(), bridge.run()))
         if self._tracing is not None:
             others.append(_start("trace", self._tracing.run()))
         if self.edge_node is not None:

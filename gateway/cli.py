@@ -140,9 +140,9 @@ def check_file(file: ConfigFile) -> None:
     configured = site.load(file)
     for line in check.report(configured):
         typer.echo(line)
-    section = configured.config.mqtt
-    if section is not None:
-        typer.echo("\nMQTT topics")
+    for section in configured.config.brokers:
+        way = "" if section.commands else ": nothing is taken from it"
+        typer.echo(f"\nMQTT topics{f' of {section.label}{way}' if section.name else way}")
         for topic in topics.overview(section, configured):
             typer.echo(f"  {topic}")
         if section.home_assistant.enabled:

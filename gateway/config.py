@@ -18,13 +18,16 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Discriminator,
     Field,
     StringConstraints,
+    Tag,
     ValidationError,
     WithJsonSchema,
     model_validator,
 )
 
+from gateway.broker_tables import shared
 from gateway.errors import BadConfig
 from gateway.protocol.timing import LineTiming
 
@@ -132,17 +135,27 @@ class TlsSection(Section):
             raise ValueError("certificate and key belong together: give both or neither")
         return self
 
+BROKER_SCHEMES = ("mqtt", "mqtts", "ws", "wss")
+TLS_SCHEMES = ("mqtts:", "wss:")
+BROKER_FORMS = '"mqtt://host:1883", "mqtts://host:8883", or by WebSocket "ws://host:80/mqtt", "wss://host:443/mqtt"'
+
 def _broker_url(value: str) -> str:
     try:
         url = urlsplit(value)
         port = url.port
     except ValueError as error:
         raise ValueError(f"not a URL: {error}") from error
-    if url.scheme not in ("mqtt", "mqtts") or not url.hostname or url.path not in ("", "/") or port == 0:
-        raise ValueError('a broker is wanted: "mqtt://host:1883" or "mqtts://host:8883"')
+    if url.scheme not in BROKER_SCHEMES or not url.hostname or port == 0:
+        raise ValueError(f"a broker is wanted: {BROKER_FORMS}")
+    if url.path not in ("", "/") and not url.scheme.startswith("ws"):
+        raise ValueError('a path is for WebSockets only: "wss://host/mqtt"')
+    if url.fragment:
+        raise ValueError(f"nothing can stand behind a #: {BROKER_FORMS}")
     if url.username or url.password:
         raise ValueError("user and password do not belong into the URL: use the keys user and password")
     return value
+
+BrokerUrl = Annotated[str, AfterValidator(_broker_url)]
 
 class FilterSection(Section):
     """How often some values are published; the last filter that says something of a value is the one that holds."""
@@ -182,7 +195,7 @@ class BrokerSection(Section):
 
     table: ClassVar[str] = "mqtt"
 
-    url: Annotated[str, AfterValidator(_broker_url)] = Field(description="mqtt:// or mqtts:// host and port")
+    url: BrokerUrl = Field(description="mqtt://, mqtts://, ws:// or wss://, host, port, and the path of a WebSocket")
     client_id: str | None = Field(None, min_length=1, description="made of the names by default")
     version: Literal["5", "3.1.1"] = "5"
     user: str | Secret | None = None
@@ -196,17 +209,30 @@ class BrokerSection(Section):
         seconds("2s"), gt=0, le=60, description="a command that says it is older is refused"
     )
 
+    @property
+    def label(self) -> str:
+        """Return what the log calls the broker."""
+        return self.url
+
+    @property
+    def channel(self) -> str:
+        """Return the channel of the log in which all that concerns this connection is told."""
+        return f"gateway.{self.table}"
+
     @model_validator(mode="after")
     def _sound(self) -> BrokerSection:
         if self.password is not None and self.user is None:
             raise ValueError("password without user: give both")
-        if self.tls != TlsSection() and not self.url.startswith("mqtts:"):
-            raise ValueError("tls is given but the url is not mqtts://")
+        if self.tls != TlsSection() and not self.url.lower().startswith(TLS_SCHEMES):
+            raise ValueError("tls is given but the url is not mqtts:// or wss://")
         return self
 
 class MqttSection(BrokerSection):
-    """The MQTT side: one broker."""
+    """The MQTT side: one broker; several are a list of them, each with a name."""
 
+    name: TopicLevel | None = Field(
+        None, description="of the broker, for the log, metrics and rights; of several each has one"
+    )
     base: TopicPath = Field("tosvert", description="first level or levels of every topic")
     publish: list[Literal["values", "state"]] = Field(
         ["values", "state"], min_length=1, description="a topic per value, one JSON state per drive, or both"
@@ -217,13 +243,35 @@ class MqttSection(BrokerSection):
     deadband: dict[ValueName, Deadband] = Field({}, description="value name: smallest change that is published")
     filter: list[FilterSection] = Field([], description="finer: how often which values are published")
     state_interval: Duration = Field(0.0, ge=0, le=3600, description="least time between two states of a drive")
+    commands: bool = Field(
+        True, description="false: nothing is subscribed, so that nobody can command by this broker, not even a stop"
+    )
     home_assistant: HomeAssistantSection = HomeAssistantSection()
+
+    @property
+    def label(self) -> str:
+        """Return what the log calls the broker."""
+        return self.url if self.name is None else f"{self.name} ({self.url})"
+
+    @property
+    def channel(self) -> str:
+        """Return the channel of the log, which has the broker's name."""
+        return super().channel if self.name is None else f"{super().channel}.{self.name}"
+
+    @property
+    def origin(self) -> str:
+        """Return what commands by this broker have as theirs; "" where it is the only one, without a name."""
+        return self.name or ""
 
 class SparkplugSection(BrokerSection):
     """Sparkplug B: the gateway as an edge node, on a connection of its own."""
 
     table: ClassVar[str] = "sparkplug"
 
+    broker: TopicLevel | None = Field(
+        None, description="of the one in [[mqtt]] whose url, user, password, tls... are taken; the first one's"
+    )
+    url: BrokerUrl = Field("", description="of a broker of its own; by default that of a broker in [mqtt]")
     group_id: SparkplugId = Field(description="the group that the edge node belongs to")
     edge_node_id: SparkplugId | None = Field(None, description="the gateway's name by default")
     primary_host: SparkplugId | None = Field(
@@ -231,6 +279,12 @@ class SparkplugSection(BrokerSection):
     )
     commands: bool = Field(False, description="drives may be commanded by DCMD and lines by NCMD")
     deadband: dict[ValueName, Deadband] = Field({}, description="value name: smallest change that is published")
+
+    @model_validator(mode="after")
+    def _has_broker(self) -> SparkplugSection:
+        if not self.url:
+            raise ValueError("url is missing, and there is no [mqtt] to take it from")
+        return self
 
     @property
     def qos(self) -> Literal[0]:
@@ -360,6 +414,7 @@ class RightSection(Section):
 
     source: CommandSource
     name: str = Field("*", description="of the controller, or its address; * and ? stand for any")
+    broker: NamePattern = Field("*", description="of mqtt: the broker's name; * and ? stand for any")
     commands: list[CommandName] = Field(["*"], description="commands by name, or *")
     registers: list[str] = Field(["*"], description="registers by name; * and ? stand for any")
     min: float | None = Field(None, description="least value in the register's unit")
@@ -490,17 +545,41 @@ class LineSection(Section):
                 raise ValueError(f'{key}: the kernel counts whole milliseconds; rs485 = "rts" does not')
         return self
 
+ONE, SEVERAL = "one", "several"  # forms of the key mqtt; they never stand in a file
+
+def _form(value: object) -> str:
+    return SEVERAL if isinstance(value, list) else ONE
+
 class Config(Section):
     """The whole file."""
 
     gateway: GatewaySection
-    mqtt: MqttSection | None = None
+    mqtt: (
+        Annotated[
+            Annotated[MqttSection, Tag(ONE)]
+            | Annotated[list[MqttSection], Field(min_length=1), Tag(SEVERAL)],
+            Discriminator(_form),
+        ]
+        | None
+    ) = Field(None, description="a broker, or a list of brokers with a name each")
     sparkplug: SparkplugSection | None = None
     modbus_tcp: ModbusTcpSection | None = None
     web: WebSection | None = None
     store: StoreSection = StoreSection()
     trace: TraceSection = TraceSection()
     line: list[LineSection] = Field(min_length=1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _share(cls, table: Any) -> Any:
+        return shared(table) if isinstance(table, dict) else table
+
+    @property
+    def brokers(self) -> tuple[MqttSection, ...]:
+        """Return every broker, in the order of the file."""
+        if isinstance(self.mqtt, list):
+            return tuple(self.mqtt)
+        return () if self.mqtt is None else (self.mqtt,)
 
 def read(path: Path) -> dict[str, Any]:
     """Read the TOML of a configuration file; BadConfig says what and where."""
@@ -521,6 +600,8 @@ def problems(table: Mapping[str, Any]) -> list[str]:
 
 def _explain(item: Mapping[str, Any], table: Mapping[str, Any]) -> str:
     keys = list(item["loc"])
+    if keys[:1] == ["mqtt"] and keys[1:2] in ([ONE], [SEVERAL]):
+        del keys[1]
     key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in keys).lstrip(".")
     names = "".join(f" ({name})" for name in _names_on_the_way(keys, table))
     if item["type"] == "extra_forbidden":
@@ -555,16 +636,17 @@ def _known_keys(keys: list[Any]) -> list[str]:
     schema: Any = Config.model_json_schema()
     definitions, node = schema["$defs"], schema
 
-    def resolve(node: Any) -> Any:
-        for option in node.get("anyOf", []):
-            if "$ref" in option:
-                node = option
-        return definitions[node["$ref"].rpartition("/")[2]] if "$ref" in node else node
+    def having(node: Any, part: str) -> Any:
+        """Return what a node has as a part, it or what it stands for: one of several forms, or a definition."""
+        if "$ref" in node:
+            node = definitions[node["$ref"].rpartition("/")[2]]
+        if part in node:
+            return node[part]
+        return next(filter(None, (having(form, part) for form in node.get("anyOf", node.get("oneOf", [])))), {})
 
     for key in keys:
-        node = resolve(node)
-        node = node.get("items", {}) if isinstance(key, int) else node.get("properties", {}).get(key, {})
-    return sorted(resolve(node).get("properties", {}))
+        node = having(node, "items") if isinstance(key, int) else having(node, "properties").get(key, {})
+    return sorted(having(node, "properties"))
 
 def valid_parts(table: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any], DriveSection]]:
     """Yield key, line table and drive for each drive whose own form is right, whatever else is wrong."""

@@ -183,11 +183,14 @@ class TcpStats:
 
 @dataclass(slots=True)
 class Stats:
-    """Everything that is counted, by line and drive name. `started` is UTC seconds."""
+    """Everything that is counted, by line and drive name, and by broker ("" is one without a name).
+
+    `started` is UTC seconds.
+    """
 
     started: float
     lines: dict[str, LineStats] = field(default_factory=dict)
     drives: dict[str, DriveStats] = field(default_factory=dict)
-    mqtt: MqttStats = field(default_factory=MqttStats)
+    brokers: dict[str, MqttStats] = field(default_factory=dict)
     sparkplug: MqttStats = field(default_factory=MqttStats)
     tcp: TcpStats = field(default_factory=TcpStats)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway import config as configuration
-from gateway import site_mapping, site_publishing
+from gateway import site_brokers, site_mapping, site_publishing
 from gateway.config import Config, DriveSection, LineSection, PollSection
 from gateway.drives import catalogue
 from gateway.drives.catalogue import Catalogue
@@ -202,6 +202,7 @@ def _contradictions(table: Mapping[str, Any], models: Catalogue) -> list[str]:
         wrong += _unknown_values(label, drive, models[drive.model])
         wrong += _wrong_control(label, drive, models[drive.model])
     used = [(f"{key} ({d.name})", d, models[d.model]) for key, _, d in valid if d.model in models]
+    wrong += site_brokers.contradictions(table, ((f"{key} ({drive.name})", drive) for key, _, drive in valid))
     return [*wrong, *site_publishing.contradictions(table, used), *site_mapping.contradictions(table, used)]
 
 

@@ -1,4 +1,4 @@
-"""Finds what is wrong in fact in the MQTT section: names that nothing has, and what Home Assistant cannot do."""
+"""Finds what is wrong in fact in the MQTT sections: names that nothing has, and what Home Assistant cannot do."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from gateway.broker_tables import brokers
 from gateway.config import DriveSection, FilterSection, HomeAssistantSection
 from gateway.drives.model import Model
 
@@ -20,15 +21,15 @@ Used = Sequence[tuple[str, DriveSection, Model]]  # key, drive and model of each
 
 def contradictions(table: Mapping[str, Any], used: Used) -> Iterator[str]:
     """Yield what is wrong with the tables `mqtt` and `sparkplug` of a configuration, a line each."""
-    for key in ("mqtt", "sparkplug"):
-        section = table.get(key)
-        if isinstance(section, dict) and used:
-            yield from _unknown_deadbands(key, section, used)
-    section = table.get("mqtt")
-    if not isinstance(section, dict) or not used:
+    if not used:
         return
-    yield from _idle_filters(section, used)
-    yield from _wrong_home_assistant(section, used)
+    edge = table.get("sparkplug")
+    if isinstance(edge, dict):
+        yield from _unknown_deadbands("sparkplug", edge, used)
+    for key, section in brokers(table):
+        yield from _unknown_deadbands(key, section, used)
+        yield from _idle_filters(key, section, used)
+        yield from _wrong_home_assistant(key, section, used)
 
 
 def _names(model: Model) -> list[str]:
@@ -46,7 +47,7 @@ def _unknown_deadbands(key: str, section: Mapping[str, Any], used: Used) -> Iter
             yield f"{key}.deadband: no configured drive has a value {name!r}{hint}"
 
 
-def _idle_filters(section: Mapping[str, Any], used: Used) -> Iterator[str]:
+def _idle_filters(key: str, section: Mapping[str, Any], used: Used) -> Iterator[str]:
     """Find patterns of filters that speak of no drive, or of no value of those drives."""
     filters = section.get("filter")
     for i, table in enumerate(filters if isinstance(filters, list) else []):
@@ -59,15 +60,15 @@ def _idle_filters(section: Mapping[str, Any], used: Used) -> Iterator[str]:
             models = [model for _, drive, model in used if fnmatchcase(drive.name, pattern)]
             spoken_of += [name for model in models for name in _names(model)]
             if not models:
-                yield f"mqtt.filter[{i}].drives: no configured drive is called {pattern!r}"
+                yield f"{key}.filter[{i}].drives: no configured drive is called {pattern!r}"
         for pattern in found.values if spoken_of else ():
             if not any(fnmatchcase(name, pattern) for name in spoken_of):
                 near = difflib.get_close_matches(pattern, spoken_of, 1)
                 hint = f"; did you mean {near[0]!r}?" if near else ""
-                yield f"mqtt.filter[{i}].values: no such drive has a value {pattern!r}{hint}"
+                yield f"{key}.filter[{i}].values: no such drive has a value {pattern!r}{hint}"
 
 
-def _wrong_home_assistant(section: Mapping[str, Any], used: Used) -> Iterator[str]:
+def _wrong_home_assistant(broker: str, section: Mapping[str, Any], used: Used) -> Iterator[str]:
     """Find drives that Home Assistant could not tell apart, and leases that it cannot keep."""
     try:
         found = HomeAssistantSection.model_validate(section.get("home_assistant", {}))
@@ -82,5 +83,5 @@ def _wrong_home_assistant(section: Mapping[str, Any], used: Used) -> Iterator[st
             yield f"{key}.name: {drive.name!r} and {taken[name]!r} are one to Home Assistant, which knows no dots"
         is_beaten = found.heartbeat and drive.control == "leased" and "mqtt" in drive.sources
         if is_beaten and drive.lease < LEAST_LEASE:
-            beat = f"mqtt.home_assistant.heartbeat: an automation beats every {FASTEST_BEAT:g} s"
+            beat = f"{broker}.home_assistant.heartbeat: an automation beats every {FASTEST_BEAT:g} s"
             yield f"{key}.lease: {drive.lease:g} s is too short for it: {LEAST_LEASE:g} s at the least ({beat})"

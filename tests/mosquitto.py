@@ -50,7 +50,7 @@ class Mosquitto:
         self._process: subprocess.Popen[str] | None = None
         self._reader: threading.Thread | None = None
 
-    def __enter__(self) -> Mosquitto:
+    def __enter__(self) -> Self:
         for _ in range(TRIES - 1):
             with contextlib.suppress(AssertionError):
                 self.start()

@@ -134,8 +134,7 @@ def test_the_lines_of_the_compose_file_do_not_get_into_each_others_way() -> None
         assert config[1] in DOCKERFILE
         assert made.config.store.path is not None
         assert Path(made.config.store.path).parent == Path(store[1])
-        assert made.config.mqtt is not None
-        assert made.config.mqtt.url == "mqtt://broker:1883"
+        assert [broker.url for broker in made.config.brokers] == ["mqtt://broker:1883"]
         assert {port.split(":")[1] for port in service["ports"]} == {"5020", "8080"}
         sites.append(made)
         stores.add(store[0])

@@ -19,13 +19,19 @@ class Channel(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Who commands: a lease has one as its owner. `name` is what the controller calls itself, or its address."""
+    """Who commands: a lease has one as its owner. `name` is what the controller calls itself, or its address.
+
+    `broker` is by which of several brokers it came: one name at two of them is two controllers, so that neither can
+    keep, or lose, what the other holds.
+    """
 
     channel: Channel
     name: str = ""
+    broker: str = ""
 
     def __str__(self) -> str:
-        return f"{self.channel} {self.name}".strip()
+        way = f"{self.channel}/{self.broker}" if self.broker else self.channel
+        return f"{way} {self.name}".strip()
 
 
 GATEWAY = Source(Channel.GATEWAY)

@@ -37,10 +37,13 @@ class Right:
     registers: tuple[str, ...]
     least: Decimal | None
     greatest: Decimal | None
+    broker: str = "*"
 
     def covers(self, command: Command) -> bool:
         """Say whether it is this source's, and permits the command itself."""
-        is_source = command.source.channel is self.channel and fnmatchcase(command.source.name, self.name)
+        source = command.source
+        is_source = source.channel is self.channel and fnmatchcase(source.name, self.name)
+        is_source = is_source and fnmatchcase(source.broker, self.broker)
         return is_source and any(fnmatchcase(command.verb, pattern) for pattern in self.commands)
 
     def permits(self, register: Register, word: int) -> bool:
@@ -132,6 +135,7 @@ def _right(section: RightSection) -> Right:
         registers=tuple(section.registers),
         least=None if least is None else _exact(least),
         greatest=None if greatest is None else _exact(greatest),
+        broker=section.broker,
     )
 
 

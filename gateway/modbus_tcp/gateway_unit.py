@@ -55,12 +55,12 @@ COUNTERS = (
     Counter("lines_up", "RS485 lines whose port is open"),
     Counter("exchanges", "exchanges on all lines", is_long=True),
     Counter("errors", "errors of every kind on all lines", is_long=True),
-    Counter("mqtt_connected", "1 while connected to the broker"),
+    Counter("mqtt_connected", "1 while connected to every broker"),
     Counter("tcp_connections", "MODBUS-TCP connections open"),
     Counter("tcp_requests", "MODBUS-TCP requests answered", is_long=True),
     Counter("tcp_exceptions", "of these, answered with an exception", is_long=True),
     Counter("tcp_turned_away", "connections beyond the limit, closed at once", is_long=True),
-    Counter("mqtt_published", "messages given to the broker", is_long=True),
+    Counter("mqtt_published", "messages given to brokers", is_long=True),
     Counter("mqtt_dropped", "messages dropped because too many waited", is_long=True),
 )
 COUNTERS_FORM = struct.Struct(">" + "".join("I" if counter.is_long else "H" for counter in COUNTERS))
@@ -137,7 +137,7 @@ class GatewayUnit:
         return Missing.UNMAPPED if self._user_map is None else self._user_map.read(start, count, now)
 
     def _counters(self, now: float) -> bytes:
-        stats, lines = self._stats, self._stats.lines.values()
+        stats, lines, brokers = self._stats, self._stats.lines.values(), self._stats.brokers.values()
         numbers = (
             MAP_VERSION,
             self._version,
@@ -148,13 +148,13 @@ class GatewayUnit:
             sum(line.is_up for line in lines),
             sum(line.exchanges for line in lines),
             sum(line.errors.total() for line in lines),
-            stats.mqtt.is_connected,
+            bool(brokers) and all(broker.is_connected for broker in brokers),
             stats.tcp.connections,
             stats.tcp.requests.total(),
             stats.tcp.exceptions.total(),
             stats.tcp.turned_away,
-            stats.mqtt.published,
-            stats.mqtt.dropped,
+            sum(broker.published for broker in brokers),
+            sum(broker.dropped for broker in brokers),
         )
         return COUNTERS_FORM.pack(*(_fit(*pair) for pair in zip(COUNTERS, numbers, strict=True)))
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import ssl
 from dataclasses import dataclass, field
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, quote, urlsplit
 
 from gateway.config import BrokerSection, Secret, TlsSection
 from gateway.errors import BadConfig
 
-DEFAULT_PORTS = {"mqtt": 1883, "mqtts": 8883}
+DEFAULT_PORTS = {"mqtt": 1883, "mqtts": 8883, "ws": 80, "wss": 443}
+DEFAULT_PATH = "/mqtt"  # of a WebSocket; most brokers have it there, and Mosquitto takes any
 NO_PASSPHRASE = ""  # without it OpenSSL would ask at the terminal for the passphrase of an encrypted key
 
 
@@ -22,6 +23,14 @@ class Access:
     user: str | None = field(repr=False)
     password: str | None = field(repr=False)
     tls: ssl.SSLContext | None
+    path: str | None = None  # of a WebSocket; None: plain TCP
+
+    @property
+    def authority(self) -> str:
+        """Return host and port as HTTP names them: an IPv6 address in brackets, the port where it is not usual."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        usual = DEFAULT_PORTS["ws" if self.tls is None else "wss"]
+        return host if self.port == usual else f"{host}:{self.port}"
 
 
 def read(section: BrokerSection) -> Access:
@@ -33,8 +42,14 @@ def read(section: BrokerSection) -> Access:
         port=url.port or DEFAULT_PORTS[url.scheme],
         user=user,
         password=None if section.password is None else section.password.reveal(),
-        tls=_context(section.tls, section.table) if url.scheme == "mqtts" else None,
+        tls=_context(section.tls, section.table) if url.scheme in ("mqtts", "wss") else None,
+        path=_path(url) if url.scheme in ("ws", "wss") else None,
     )
+
+
+def _path(url: SplitResult) -> str:
+    path = DEFAULT_PATH if url.path in ("", "/") else quote(url.path, safe="/%:@!$&'()*+,;=~-._")
+    return f"{path}?{quote(url.query, safe='/%:@!$&()*+,;=~-._?')}" if url.query else path
 
 
 def _context(tls: TlsSection, table: str) -> ssl.SSLContext:

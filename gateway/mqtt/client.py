@@ -20,9 +20,10 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 from gateway.config import BrokerSection, MqttSection
 from gateway.errors import BadConfig
 from gateway.mqtt import access, payload, reasons, topics
-from gateway.mqtt.connection import BrokerAway, LastError, Made, close
+from gateway.mqtt.made import BrokerAway, LastError, Made, close
+from gateway.mqtt.ws_socket import WebSocket
 
-CONNECT_LIMIT = 5.0  # seconds, for TCP and for the TLS handshake each
+CONNECT_LIMIT = 5.0  # seconds, for TCP, for the TLS handshake and for that of a WebSocket each
 LARGEST_PACKET = 64 * 1024  # bytes that the broker may send us in one packet
 RECEIVE_MAXIMUM = 20  # messages of QoS 1 and 2 that may be under way to us
 IN_FLIGHT = 20  # messages of QoS 1 and 2 under way to the broker; Mosquitto takes no more as installed
@@ -77,9 +78,24 @@ def _connect(section: BrokerSection, introduced: Introduction, in_flight: int) -
     return Made(client, errors, _nothing, _nothing)
 
 
+class _Client(Client):
+    """paho's client, with a WebSocket of our own where one is wanted."""
+
+    def __init__(self, reach: access.Access, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._reach = reach
+
+    def _create_socket(self) -> Any:
+        sock = super()._create_socket()
+        if self._reach.path is None:
+            return sock
+        return WebSocket.opened(cast(socket.socket, sock), self._reach.authority, self._reach.path, CONNECT_LIMIT)
+
+
 def _make_client(section: BrokerSection, introduced: Introduction, reach: access.Access) -> tuple[Client, LastError]:
     is_5 = section.version == "5"
-    client = Client(
+    client = _Client(
+        reach,
         CallbackAPIVersion.VERSION2,
         client_id=introduced.client_id,
         clean_session=None if is_5 else True,

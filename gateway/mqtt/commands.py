@@ -20,6 +20,7 @@ from gateway.mqtt.message import Beat, LineStop, Message, Moment, NotTaken
 from gateway.mqtt.stop_words import stop_in, verb_of
 
 COMMAND, SET, HEARTBEAT = "command", "set", "heartbeat"  # levels below a drive that are listened to
+ANYBODY = Source(Channel.MQTT)
 LINE = "line"  # the level before the name of a line
 MOST_WORDS = 16  # that one command may write
 KEPT = "it was retained: a command counts only when it is sent"
@@ -62,15 +63,18 @@ class _Letter:
     blank: Command
 
 
-def read(message: Message, levels: Sequence[str], moment: Moment, model: Model | None = None) -> Read | None:
+def read(
+    message: Message, levels: Sequence[str], moment: Moment, model: Model | None = None, origin: Source = ANYBODY
+) -> Read | None:
     """Return what a message asks for, its refusal, or None where it is neither a command nor a sign of life.
 
-    `levels` are those of its topic below `<base>/<gateway>/`; `model` is that of the drive, where there is one.
+    `levels` are those of its topic below `<base>/<gateway>/`; `model` is that of the drive, where there is one;
+    `origin` is who asks where the message gives no name: anybody by that broker.
     """
     take: Callable[[_Letter, Any], Read]
     match levels:
         case (drive, "heartbeat"):
-            return _beat(drive, message, moment)
+            return _beat(drive, message, moment, origin)
         case (drive, "command"):
             take = _command
         case ("line", line, "command"):
@@ -79,7 +83,7 @@ def read(message: Message, levels: Sequence[str], moment: Moment, model: Model |
             take = _setting
         case _:
             return None
-    blank = Command(drive, Verb.SET, Source(Channel.MQTT), moment.now, moment.now + moment.good_for)
+    blank = Command(drive, Verb.SET, origin, moment.now, moment.now + moment.good_for)
     document: dict[str, Any] | str = ""
     letter = _Letter(levels[-1], message, moment, model, blank)
     try:
@@ -96,7 +100,7 @@ def read(message: Message, levels: Sequence[str], moment: Moment, model: Model |
     return Result(_named(blank, _table(document)), Status.REFUSED, reason, text)
 
 
-def _beat(drive: str, message: Message, moment: Moment) -> Beat | None:
+def _beat(drive: str, message: Message, moment: Moment, origin: Source) -> Beat | None:
     """Read a heartbeat: any payload, or JSON with `source` where its owner has a name, and `issued`."""
     if message.is_retained or message.is_early or len(message.payload) > exact.LARGEST:
         return None
@@ -108,7 +112,7 @@ def _beat(drive: str, message: Message, moment: Moment) -> Beat | None:
             name = exact.name(table.get("source", ""), "source")
         except (NotExact, NotTaken):
             return None
-    return Beat(drive, Source(Channel.MQTT, name), message.payload)
+    return Beat(drive, replace(origin, name=name), message.payload)
 
 
 def _table(document: dict[str, Any] | str) -> dict[str, Any]:
@@ -123,7 +127,7 @@ def _named(blank: Command, table: Mapping[str, Any]) -> Command:
             name = read_one(table.get(key, ""), key)
         except NotExact:
             continue
-        found[key] = Source(Channel.MQTT, name) if key == "source" else name
+        found[key] = replace(blank.source, name=name) if key == "source" else name
     verb = verb_of(table.get("command"))
     return replace(blank, verb=verb or blank.verb, **found)
 
@@ -174,7 +178,7 @@ def _common(letter: _Letter, table: Mapping[str, Any]) -> Command:
     if letter.message.is_repeated and not known:
         raise NotTaken(Reason.EXPIRED, "it was delivered again, and has no id to tell whether it was done before")
     deadline = _deadline(table, letter.message.expiry, letter.moment)
-    return replace(letter.blank, source=Source(Channel.MQTT, source), id=known, deadline=deadline)
+    return replace(letter.blank, source=replace(letter.blank.source, name=source), id=known, deadline=deadline)
 
 
 def _deadline(table: Mapping[str, Any], expiry: int | None, moment: Moment) -> float:

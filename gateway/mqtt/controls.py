@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from gateway.config import HomeAssistantSection
+from gateway.config import MqttSection
 from gateway.control.command import Channel, Source, Verb
 from gateway.control.composing import FREQUENCY
 from gateway.mqtt import commands
@@ -35,11 +35,12 @@ HIDDEN = (Verb.COAST, Verb.EMERGENCY_STOP)  # there, and disabled until somebody
 class Controls:
     """The components by which Home Assistant commands one drive."""
 
-    def __init__(self, place: Place, section: HomeAssistantSection, operation: Operation) -> None:
+    def __init__(self, place: Place, section: MqttSection, operation: Operation) -> None:
         self._place = place
-        self._source = section.source
+        self._source = section.home_assistant.source
+        self._owner = Source(Channel.MQTT, self._source, section.origin)
         self._operation = operation
-        self._is_offered = section.heartbeat or not operation.is_leased
+        self._is_offered = section.home_assistant.heartbeat or not operation.is_leased
         register = place.image.points[STATUS].register if STATUS in place.image.points else None
         self._bits = bits_of(register)
 
@@ -67,7 +68,7 @@ class Controls:
         """Return when something is available: the drive there, and armed, and the lease ours, as far as needed."""
         wanted = ["value_json.standing == 'armed'"] if is_motion else []
         if is_owned and self._operation.is_leased:
-            wanted.append(f"value_json.owner == '{Source(Channel.MQTT, self._source)}'")
+            wanted.append(f"value_json.owner == '{self._owner}'")
         available = self._place.of_drive
         if wanted:
             available.append({"topic": self._place.named.control, "value_template": when(" and ".join(wanted))})
@@ -177,7 +178,7 @@ class Controls:
         )  # fmt: skip
 
 
-def of_control(place: Place, section: HomeAssistantSection) -> dict[str, Component]:
-    """Return the components by which a drive may be commanded; none where it may not, or not by MQTT."""
-    operation = operation_of(place.image.drive, section.source)
+def of_control(place: Place, section: MqttSection) -> dict[str, Component]:
+    """Return the components by which a drive may be commanded; none where it may not, or not by this broker."""
+    operation = operation_of(place.image.drive, section, section.home_assistant.source)
     return {} if operation is None else Controls(place, section, operation).components()

@@ -35,7 +35,7 @@ class Description:
         }
         policy = policies(section, image)
         values = {name: _value(image, name, named, section, policy[name]) for name in image.names}
-        self._tail = {"control": _control(image), "values": values}
+        self._tail = {"control": _control(image, section), "values": values}
         self._identity: Mapping[str, str] | None = None
         self._text = ""
 
@@ -99,9 +99,9 @@ def _of_derived(derived: Derived) -> dict[str, Any]:
     }
 
 
-def _control(image: DriveImage) -> dict[str, Any]:
-    """Say what controllers may do by MQTT, as configured; rights may let one of them do less."""
-    section, operation = image.drive.section, operation_of(image.drive)
+def _control(image: DriveImage, broker: MqttSection) -> dict[str, Any]:
+    """Say what controllers may do by this broker, as configured; rights may let one of them do less."""
+    section, operation = image.drive.section, operation_of(image.drive, broker)
     if section is None or section.control == "off":
         return {"mode": "off"}
     loss = section.on_loss

@@ -41,7 +41,7 @@ class Device:
         self.image = image
         self._place = Place.of(section, gateway, image)
         found = entities.of_state(self._place)
-        found |= controls.of_control(self._place, section.home_assistant)
+        found |= controls.of_control(self._place, section)
         self.components = _bounded(found, entities.of_values(self._place), image.drive.name)
         self._told_identity: Mapping[str, str] | None = None
 

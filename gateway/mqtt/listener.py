@@ -10,7 +10,7 @@ from typing import Protocol
 
 from gateway.clock import Clock
 from gateway.config import MqttSection
-from gateway.control.command import Result
+from gateway.control.command import Channel, Result, Source
 from gateway.control.door import Door
 from gateway.metrics import MqttStats
 from gateway.mqtt import commands, outcome
@@ -40,6 +40,8 @@ class Listener:
     def __init__(self, section: MqttSection, gateway: str, door: Door, stats: MqttStats, clock: Clock) -> None:
         self._root = f"{section.base}/{gateway}/"
         self._max_age = section.command_max_age
+        self._takes_commands = section.commands
+        self._origin = Source(Channel.MQTT, broker=section.origin)
         self._door = door
         self._stats = stats
         self._clock = clock
@@ -50,7 +52,9 @@ class Listener:
 
     @property
     def filters(self) -> list[str]:
-        """Return the topic filters to subscribe to."""
+        """Return the topic filters to subscribe to; none where nobody may command by this broker."""
+        if not self._takes_commands:
+            return []
         levels = (f"+/{commands.COMMAND}", f"+/{commands.SET}/+", f"+/{commands.HEARTBEAT}")
         return [self._root + each for each in (*levels, f"{commands.LINE}/+/{commands.COMMAND}")]
 
@@ -74,7 +78,7 @@ class Listener:
     def hear(self, message: Message) -> None:
         """Take one message."""
         self._stats.heard += 1
-        if not message.topic.startswith(self._root):
+        if not self._takes_commands or not message.topic.startswith(self._root):
             self._stats.ignored += 1
             return
         levels = message.topic.removeprefix(self._root).split("/")
@@ -84,7 +88,7 @@ class Listener:
         control = self._door.controls.get(levels[0])
         good_for = GOOD_FOR if control is None else control.settings.command_timeout
         moment = Moment(self._since(), self._clock.wall(), good_for, self._max_age)
-        read = commands.read(message, levels, moment, None if control is None else control.drive.model)
+        read = commands.read(message, levels, moment, None if control is None else control.drive.model, self._origin)
         answer = partial(self._answer, message)
         if read is None:
             self._stats.ignored += 1

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from fnmatch import fnmatchcase
 
+from gateway.config import MqttSection
 from gateway.control.command import Channel, Verb
 from gateway.control.composing import COMMAND, FREQUENCY, VALUES
 from gateway.control.settings import ControlSettings, Right, settings_of
@@ -33,12 +34,12 @@ class Operation:
         return self.settings.is_leased
 
 
-def operation_of(drive: Drive, name: str = ANYBODY) -> Operation | None:
-    """Return what a controller of that name may ask for, or any of them; None where nothing can be asked by MQTT."""
+def operation_of(drive: Drive, section: MqttSection, name: str = ANYBODY) -> Operation | None:
+    """Return what a controller of that name may ask for, or any of them; None where nothing can be by this broker."""
     settings = settings_of(drive.section) if drive.section is not None else None
-    if settings is None or Channel.MQTT not in settings.sources:
+    if settings is None or Channel.MQTT not in settings.sources or not section.commands:
         return None
-    rights = [right for right in settings.rights if right.channel is Channel.MQTT and _is_of(right, name)]
+    rights = [right for right in settings.rights if right.channel is Channel.MQTT and _is_of(right, name, section)]
     verbs = {verb for verb in Verb if _has(drive.model, verb)}
     if settings.rights:
         verbs = {verb for verb in verbs if verb.is_stopping or _permits(rights, verb)}
@@ -50,8 +51,9 @@ def operation_of(drive: Drive, name: str = ANYBODY) -> Operation | None:
     return Operation(settings, frozenset(verbs), least, greatest, step)
 
 
-def _is_of(right: Right, name: str) -> bool:
-    return name == ANYBODY or fnmatchcase(name, right.name)
+def _is_of(right: Right, name: str, section: MqttSection) -> bool:
+    is_here = fnmatchcase(section.origin, right.broker)
+    return is_here and (name == ANYBODY or fnmatchcase(name, right.name))
 
 
 def _permits(rights: list[Right], verb: Verb) -> bool:

@@ -9,9 +9,8 @@ from typing import Any
 
 from gateway.metrics import MqttStats
 from gateway.mqtt import reasons
+from gateway.mqtt.made import Terms
 from gateway.mqtt.message import Message
-
-log = logging.getLogger("gateway.mqtt")
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,11 +24,12 @@ class Ears:
 class Reception:
     """The messages of one connection, from paho's callbacks to whoever hears them."""
 
-    def __init__(self, client: Any, stats: MqttStats, table: str = "mqtt") -> None:
+    def __init__(self, client: Any, stats: MqttStats, section: Terms) -> None:
         self.count = 0  # messages noted so far
         self._client = client
         self._stats = stats
-        self._table = table
+        self._table = section.table
+        self._log = logging.getLogger(section.channel)
         self._noted: list[Message] = []
         self._ears: Ears | None = None
         self._asked: dict[int, list[str]] = {}
@@ -70,7 +70,7 @@ class Reception:
         for topic, code in zip(self._asked.pop(mid, ()), codes, strict=False):
             if code.is_failure:
                 why = reasons.of_subscription(code.value, code.getName(), self._table)
-                log.warning("nothing is heard by %s: %s", topic, why)
+                self._log.warning("nothing is heard by %s: %s", topic, why)
 
     def hand_over(self) -> None:
         """Hand on what was noted, outside of paho's lock."""

@@ -1,4 +1,4 @@
-"""What the event loop hands to the store's thread: counts to be written at once, and rows of the audit in turn."""
+"""What the event loop hands to the store's thread: counts and short texts for now, the audit in turn."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ class Inbox:
     def __init__(self) -> None:
         self._news = threading.Condition()
         self._writes: list[Write] = []
+        self._kept: dict[str, str] = {}
         self._entries: deque[Entry] = deque()
         self._is_ending = False
         self.dropped = 0
@@ -39,6 +40,18 @@ class Inbox:
         with self._news:
             self._writes.append(write)
             self._news.notify()
+
+    def keep(self, key: str, text: str) -> None:
+        """Put a short text, in the place of an older one."""
+        with self._news:
+            self._kept[key] = text
+            self._news.notify()
+
+    def kept(self) -> dict[str, str]:
+        """Return the texts that came since the last time."""
+        with self._news:
+            kept, self._kept = self._kept, {}
+            return kept
 
     def append(self, entry: Entry) -> None:
         """Put a row of the audit, or drop it where too many wait."""
@@ -61,10 +74,14 @@ class Inbox:
         """Wait for counts, or the end: `wait` seconds, or else `gather` from the first row of the audit on."""
         with self._news:
             if wait is None:
-                self._news.wait_for(lambda: self._writes or self._entries or self._is_ending)
-            self._news.wait_for(lambda: self._writes or self._is_ending, gather if wait is None else wait)
+                self._news.wait_for(lambda: self._is_urgent or self._entries)
+            self._news.wait_for(lambda: self._is_urgent, gather if wait is None else wait)
             writes, self._writes = self._writes, []
             return writes, self._is_ending
+
+    @property
+    def _is_urgent(self) -> bool:
+        return bool(self._writes or self._kept or self._is_ending)
 
     def first(self) -> list[Entry]:
         """Return the rows that have waited longest; they are kept until `written`."""

@@ -47,6 +47,7 @@ INSERT INTO audit (time, drive, kind, source, verb, command_id, value, before, w
 VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)
 """
 TRIM = "DELETE FROM audit WHERE id <= (SELECT max(id) FROM audit) - ?"
+KEPT = "kept "  # begins the key of a short text in `meta` that another part of the gateway keeps
 NOTE = "INSERT OR REPLACE INTO meta (key, value) VALUES (?, ?)"
 
 Row = tuple[object, ...]
@@ -56,12 +57,13 @@ Row = tuple[object, ...]
 class Saved:
     """What a file holds. Times are UTC seconds; `begins_at` is what a parameter without a count is taken to have.
 
-    `lost` says how counts were lost, "" where they are whole.
+    `lost` says how counts were lost, "" where they are whole. `kept` are short texts of other parts of the gateway.
     """
 
     wear: Mapping[Key, Wear] = field(default_factory=dict)
     begins_at: int = 0
     lost: str = ""
+    kept: Mapping[str, str] = field(default_factory=dict)
 
 
 def rows_of(counts: Mapping[Key, Wear]) -> list[Row]:

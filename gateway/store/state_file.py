@@ -72,6 +72,11 @@ class StateFile:
         with translated(self.path), self._transaction() as connection:
             connection.executemany(schema.COUNT, schema.rows_of(counts))
 
+    def keep(self, texts: Mapping[str, str]) -> None:
+        """Write short texts, each in the place of an older one."""
+        with translated(self.path), self._transaction() as connection:
+            connection.executemany(schema.NOTE, [(schema.KEPT + key, text) for key, text in texts.items()])
+
     def append(self, entries: Sequence[Entry]) -> None:
         """Append to the audit, and let go the oldest of too many rows."""
         with translated(self.path), self._transaction() as connection:
@@ -167,7 +172,8 @@ def _saved(connection: sqlite3.Connection, path: Path) -> Saved:
     begins_at = meta.get("begins_at", "")
     if None in counts or not begins_at.isdecimal():
         raise StoreDamaged(f"{path} is damaged: a count is not as it was written")
-    return Saved(dict(filter(None, counts)), int(begins_at), meta.get("lost", ""))
+    kept = {key.removeprefix(schema.KEPT): text for key, text in meta.items() if key.startswith(schema.KEPT)}
+    return Saved(dict(filter(None, counts)), int(begins_at), meta.get("lost", ""), kept)
 
 
 def _text(raw: bytes) -> str:

@@ -44,8 +44,8 @@ def store_path(section: StoreSection, folder: Path, environment: Mapping[str, st
 
 
 def needs_store(site: Site) -> bool:
-    """Say whether anything is ever written to a drive."""
-    return any(drive.is_controlled or drive.provision for drive in site.drives)
+    """Say whether anything is ever written to a drive, or Sparkplug counts its connections."""
+    return site.config.sparkplug is not None or any(drive.is_controlled or drive.provision for drive in site.drives)
 
 
 class Reservation:
@@ -81,13 +81,15 @@ class Store:
         self._lost = ""
         self._hangs = ""
         self._is_loaded = False
+        self._kept: dict[str, str] = {}
+        self._was_read = asyncio.Event()
         self._ended = asyncio.Event()
         self._thread = StoreThread(path, audit_rows, pace, self, self._post)
         self._loop: asyncio.AbstractEventLoop | None = None
 
     @classmethod
     def of(cls, site: Site, clock: Clock, environment: Mapping[str, str] = os.environ) -> Store | None:
-        """Return the store of a site; None where nothing is ever written to a drive."""
+        """Return the store of a site; None where there is nothing to keep."""
         section = site.config.store
         if not needs_store(site):
             return None
@@ -156,6 +158,19 @@ class Store:
         """Add a row to the audit; it is dropped where too many wait."""
         self._thread.inbox.append(entry)
 
+    # ---- what others keep
+
+    async def recalled(self, key: str, within: float) -> str:
+        """Return a short text that was kept, "" where none was, or the file was not open in so many seconds."""
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._was_read.wait(), within)
+        return self._kept.get(key, "")
+
+    def keep(self, key: str, text: str) -> None:
+        """Keep a short text; while the file is away it is remembered until it is back."""
+        self._kept[key] = text
+        self._thread.inbox.keep(key, text)
+
     def _of(self, key: Key) -> Wear:
         return self._wear.get(key) or Wear(self._begins_at)
 
@@ -204,6 +219,8 @@ class Store:
             if self._wear[key].writes > saved.wear.get(key, Wear()).writes:
                 self._write(key)
         self._is_loaded = True
+        self._kept = {**saved.kept, **self._kept}
+        self._was_read.set()
         self._lost = f"{saved.lost}; accept a count by `tosvert-gateway store accept`" if saved.lost else ""
         if self._lost:
             log.error("writes to the EEPROM are refused: %s", self._lost)

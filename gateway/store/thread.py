@@ -61,6 +61,7 @@ class StoreThread:
         self._retry_at = float("-inf")
         self._pause = pace.retry
         self._owed: dict[Key, Wear] = {}  # counts that are not in the file yet
+        self._owed_texts: dict[str, str] = {}  # and short texts
 
     def start(self) -> None:
         """Begin."""
@@ -84,6 +85,7 @@ class StoreThread:
     def _turn(self, writes: list[Write]) -> None:
         """Write what has come, and say what became of it."""
         self._owed.update((write.key, write.wear) for write in writes)
+        self._owed_texts.update(self.inbox.kept())
         is_due = self._file is not None or time.monotonic() >= self._retry_at
         problem = self._tried(self._write_counts) if is_due else self._problem
         for write in writes:
@@ -111,6 +113,9 @@ class StoreThread:
         if self._owed:
             self._file.write(self._owed)
             self._owed.clear()
+        if self._owed_texts:
+            self._file.keep(self._owed_texts)
+            self._owed_texts.clear()
 
     def _write_audit(self) -> None:
         while self._file is not None and (entries := self.inbox.first()):

@@ -30,6 +30,7 @@ S = TypeVar("S")
 
 LINE = ("line",)
 DRIVE = ("line", "drive")
+BROKER = ("broker",)
 NEVER = float("inf")  # the age of what was never heard: an alert on "older than" must fire
 
 
@@ -137,9 +138,10 @@ def families(site: Site, image: Image, stats: Stats, now: float, ledger: Ledger 
     yield from _of_values([((i.drive.line, i.drive.name), i) for i in image.drives], now)
     if ledger is not None:
         yield from _of_store(site, ledger, now)
-    if site.config.mqtt is not None:
+    if names := [broker.origin for broker in site.config.brokers]:
+        each = [((name,) if name else (), stats.brokers.get(name) or MqttStats()) for name in names]
         for number in OF_MQTT:
-            yield number.family((), [((), stats.mqtt)])
+            yield number.family(BROKER if any(names) else (), each)
     if site.config.sparkplug is not None:
         for number in OF_SPARKPLUG:
             yield number.family((), [((), stats.sparkplug)])

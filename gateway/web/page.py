@@ -139,13 +139,22 @@ def as_document(
             for drive in health.drives
         },
     }
-    if site.config.mqtt is not None:
-        document["mqtt"] = {"connected": stats.mqtt.is_connected}
+    if site.config.brokers:
+        document["mqtt"] = _brokers(site, stats)
     if site.config.sparkplug is not None:
         document["sparkplug"] = {"connected": stats.sparkplug.is_connected}
     if ledger is not None:
         document["store"] = {"problem": ledger.problem, "audit_dropped": ledger.dropped}
     return document
+
+
+def _brokers(site: Site, stats: Stats) -> dict[str, Any]:
+    """Say whether all brokers are connected, and which, where they have names."""
+    names = [broker.origin for broker in site.config.brokers]
+    connected = {name: name in stats.brokers and stats.brokers[name].is_connected for name in names}
+    document: dict[str, Any] = {"connected": all(connected.values())}
+    named = {name: {"connected": is_connected} for name, is_connected in connected.items() if name}
+    return {**document, "brokers": named} if named else document
 
 
 def _standing(stats: Stats, drive: str) -> dict[str, str]:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.image import Image, LinkState, Missing, Quality
-from gateway.metrics import LineStats, Stats
+from gateway.metrics import LineStats, MqttStats, Stats
 from gateway.modbus_tcp.gateway_unit import COUNTERS, COUNTERS_AT, VALUES, GatewayUnit, version_number
 from gateway.modbus_tcp.server import IDENTITY
 from tests.modbus_tcp.rig import ALL, NOW, answer, drive
@@ -116,7 +116,8 @@ def test_counters() -> None:
     """Each at its address, 32 bits with the high word first, and readable one by one."""
     stats = Stats(0.0, {"a": LineStats(is_up=True, exchanges=0x12345), "b": LineStats(exchanges=1)})
     stats.lines["a"].errors.update(no_reply=70_000, bad_reply=1)
-    stats.mqtt.is_connected, stats.mqtt.published, stats.mqtt.dropped = True, 3, 4
+    stats.brokers = {"a": MqttStats(is_connected=True, published=2, dropped=4), "b": MqttStats(published=1)}
+    stats.brokers["b"].is_connected = True
     stats.tcp.connections, stats.tcp.turned_away = 2, 5
     stats.tcp.requests.update({3: 65_536})
     stats.tcp.exceptions.update({2: 6})

@@ -14,9 +14,9 @@ import pytest
 import uvloop
 
 from gateway.image import LinkState
-from gateway.mqtt import bridge as bridge_module
 from gateway.mqtt import client
 from gateway.mqtt import connection as connection_module
+from gateway.mqtt import uplink as uplink_module
 from gateway.mqtt.payload import StateWriter
 from gateway.mqtt.publisher import Publisher
 from tests.mosquitto import LIMIT, Mosquitto, Subscriber
@@ -181,6 +181,7 @@ async def test_the_end_is_said_and_the_connection_closed_in_order(broker: Mosqui
         assert heard.newest()[f"{ROOT}/availability"] == "offline"
         assert heard.newest()[f"{FREQUENCY}/quality"] == "offline"
     assert not made.stats.is_connected
+    broker.stop()  # so that all of its log is there
     assert any(line.endswith(f"Client tosvert-{GATEWAY} disconnected.") for line in broker.log)
 
 
@@ -190,7 +191,7 @@ async def test_a_frozen_broker_fills_a_bounded_queue_and_then_learns_the_truth(
     broker: Mosquitto, monkeypatch: pytest.MonkeyPatch, qos: int
 ) -> None:
     """What found no room is counted; after the thaw the newest of it is there, without waiting for a look round."""
-    monkeypatch.setattr(bridge_module, "TEND_EVERY", 1e6)
+    monkeypatch.setattr(uplink_module, "TEND_EVERY", 1e6)
     async with Subscriber(broker.port) as heard, running(broker.port, queue=200, qos=qos) as made:
         await heard.until_payload(STATUS, "online")
         broker.freeze()
@@ -234,7 +235,7 @@ async def test_the_end_is_bounded_while_the_broker_is_frozen(
     broker: Mosquitto, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The will says what the gateway cannot."""
-    monkeypatch.setattr(bridge_module, "LEAVE_LIMIT", 0.05)
+    monkeypatch.setattr(uplink_module, "LEAVE_LIMIT", 0.05)
     async with Subscriber(broker.port) as heard:
         async with running(broker.port, queue=100) as made:
             await heard.until_payload(STATUS, "online")

@@ -18,8 +18,8 @@ from gateway.clock import Clock
 from gateway.control.command import Verb
 from gateway.control.door import Door
 from gateway.image import Image
-from gateway.mqtt import bridge as bridge_module
-from gateway.mqtt import connection as connection_module
+from gateway.mqtt import outgoing, socket_loop
+from gateway.mqtt import uplink as uplink_module
 from tests.mosquitto import LIMIT, Mosquitto, Subscriber, program
 from tests.mqtt.certificates import Authority
 from tests.mqtt.doors import DIRECT, LEASED, KeptDoor, small_site
@@ -325,7 +325,7 @@ async def test_results_for_a_broker_that_does_not_read_are_bounded_and_counted(b
             if number % 100 == 0:
                 await asyncio.sleep(0)
         assert made.stats.untold - told > 1000
-        assert made.stats.waiting <= 100 + connection_module.RESERVE
+        assert made.stats.waiting <= 100 + outgoing.RESERVE
         broker.thaw()
         await heard.until(lambda: bool(heard.on(f"{ROOT}/{LEASED}/event")))
 
@@ -397,7 +397,7 @@ async def test_all_commands_of_a_tls_record_are_heard(tmp_path: Path) -> None:
     certificate, key = authority.issue("broker", "IP:127.0.0.1")
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     context.load_cert_chain(certificate, key)
-    many = 5 * connection_module.READ_AT_ONCE
+    many = 5 * socket_loop.READ_AT_ONCE
     async with PlayedBroker(context=context) as broker:
         settings: dict[str, Any] = {
             "url": f"mqtts://127.0.0.1:{broker.port}",
@@ -478,7 +478,7 @@ async def test_an_error_while_commanding_ends_the_bridge_with_its_reason(monkeyp
 
 async def test_results_under_way_when_the_connection_breaks_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are lost with it, and not sent by the next one."""
-    monkeypatch.setattr(bridge_module, "LEAVE_LIMIT", 0.05)
+    monkeypatch.setattr(uplink_module, "LEAVE_LIMIT", 0.05)
     async with PlayedBroker() as broker, commanded(broker.port, qos=1) as made:
         await broker.subscribed.wait()
         broker.publish(COMMAND.encode(), b"take")

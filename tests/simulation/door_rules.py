@@ -113,5 +113,6 @@ class DoorRules:
         for name, control in app.door.controls.items():
             if len(control.state.queue.executions) > WAITING + STOPS:
                 self.tell(f"{len(control.state.queue.executions)} commands wait for {name}")
-        if app.site.config.mqtt is not None and app.stats.mqtt.waiting > app.site.config.mqtt.queue:
-            self.tell(f"{app.stats.mqtt.waiting} messages wait for the broker")
+        for broker in app.site.config.brokers:
+            if (waiting := app.stats.brokers[broker.origin].waiting) > broker.queue:
+                self.tell(f"{waiting} messages wait for the broker")

@@ -40,9 +40,8 @@ class Process:
 
     def __init__(self, plant: Plant, chance: Random) -> None:
         self.app = App(plant.setup.site(), SimulatedClock(plant.world), plant.port.open, plant.ledger)
-        if self.app.bridge is not None and self.app.site.config.mqtt is not None:
-            section = self.app.site.config.mqtt
-            self.app.bridge._backoff = Backoff(section.reconnect_after, section.reconnect_at_most, chance)
+        for bridge, section in zip(self.app.bridges, self.app.site.config.brokers, strict=True):
+            bridge._backoff = Backoff(section.reconnect_after, section.reconnect_at_most, chance)
         self.app.door.on_event(lambda drive, event, reason: plant.on_event(self, drive, event, reason))
         self.is_killed = False
         self.task = asyncio.create_task(self.app.run())

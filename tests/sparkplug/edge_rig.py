@@ -13,6 +13,7 @@ from gateway.clock import Clock
 from gateway.image import DriveImage, Image
 from gateway.metrics import MqttStats
 from gateway.sparkplug.edge import EdgeNode
+from gateway.sparkplug.memory import Keeper
 from gateway.sparkplug.payload import DataType, Metric, Payload, Value, decode, encode
 from tests.mosquitto import LIMIT, Message, Subscriber, program
 from tests.mqtt import drives
@@ -98,14 +99,19 @@ class Running:
     """An edge node at work, and the drives that it tells of."""
 
     def __init__(
-        self, port: int, image: Image | None = None, door: Callable[[Clock], KeptDoor] | None = None, **settings: Any
+        self,
+        port: int,
+        image: Image | None = None,
+        door: Callable[[Clock], KeptDoor] | None = None,
+        keeper: Keeper | None = None,
+        **settings: Any,
     ) -> None:
         self.image = image or drives.image(drives.drive(max_age=drives.LONG))
         self.stats = MqttStats()
         self.clock = SkippingClock()
         made = section(**{"url": f"mqtt://127.0.0.1:{port}", "group_id": GROUP, **settings})
         self._door = None if door is None else door(self.clock)
-        self.edge = EdgeNode(made, "hall-3", self.image, self.stats, self.clock, door=self._door)
+        self.edge = EdgeNode(made, "hall-3", self.image, self.stats, self.clock, door=self._door, keeper=keeper)
         self.task = asyncio.create_task(self.edge.run())
 
     @property

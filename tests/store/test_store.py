@@ -18,10 +18,11 @@ from gateway.control.command import Channel, Command, Reason, Result, Source, St
 from gateway.control.ledger import Entry
 from gateway.control.wear import Key, Wear
 from gateway.store import inbox, state_file, store
+from gateway.store.errors import StoreAway
 from gateway.store.schema import Saved
 from gateway.store.state_file import StateFile, look
 from gateway.store.store import Store, needs_store, store_path
-from tests.store.rig import WALL, HandClock, audit, counted, open_store, reserved, rows_of, running, until
+from tests.store.rig import QUICK, WALL, HandClock, audit, counted, open_store, reserved, rows_of, running, until
 from tests.web.rig import drive, table
 
 
@@ -71,6 +72,36 @@ async def test_nothing_is_permitted_before_the_file_is_open_and_nothing_forgotte
     assert (early.count("pump", 0x10), early.count("pump", 0x11)) == (6, 1)
     await early.close()
     assert look(path).wear["pump", 0x10].writes == 6
+
+
+async def test_short_texts_of_others_are_kept(path: Path) -> None:
+    """The newest of each, also where the file was not open yet; nothing of them is taken for the store's own."""
+    early = Store(path, 1000, HandClock(), QUICK)
+    early.keep("audit_rows", "one")
+    assert await early.recalled("audit_rows", 0.001) == "one"
+    early.start()
+    assert await early.recalled("other", 10) == ""
+    early.keep("audit_rows", "two")
+    await early.close()
+    assert look(path).kept == {"audit_rows": "two"}
+    async with running(path) as again:
+        assert await again.recalled("audit_rows", 10) == "two"
+        assert again._thread._audit_rows == 1000
+
+
+async def test_texts_are_kept_when_the_file_is_back(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disk that says no once loses none."""
+    async with open_store(path) as opened:
+        monkeypatch.setattr(StateFile, "keep", _away)
+        opened.keep("key", "text")
+        await until(lambda: opened.problem)
+        monkeypatch.undo()
+        await until(lambda: not opened.problem)
+    assert look(path).kept == {"key": "text"}
+
+
+def _away(_file: StateFile, _texts: object) -> None:
+    raise StoreAway("away")
 
 
 async def test_after_the_end_nothing_is_permitted(path: Path) -> None:
@@ -288,7 +319,7 @@ async def test_no_setpoint_comes_back_from_the_store(path: Path) -> None:
             opened.record(Entry.of_result(Result(command, Status.DONE, raw={"command": 0xC400}), WALL))
     assert len(audit(path)) == 2
     assert look(path) == Saved()
-    assert {field.name for field in dataclasses.fields(Saved)} == {"wear", "begins_at", "lost"}
+    assert {field.name for field in dataclasses.fields(Saved)} == {"wear", "begins_at", "lost", "kept"}
     tables = {name for (name,) in rows_of(path, "SELECT name FROM sqlite_master WHERE type = 'table'")}
     assert tables - {"sqlite_sequence"} == {"meta", "eeprom_writes", "audit"}
     assert {key for (key,) in rows_of(path, "SELECT key FROM meta")} == {"opened", "audit_rows", "begins_at"}
@@ -305,13 +336,14 @@ def test_the_file_is_where_it_is_configured(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("more", [{"control": "leased"}, {"control": "direct"}, {"provision": True}])
 async def test_only_a_gateway_that_writes_has_a_store(tmp_path: Path, more: dict[str, object]) -> None:
-    """Reading alone leaves no file behind."""
+    """Reading alone leaves no file behind; Sparkplug counts its connections in one."""
     lines = [{"name": "a", "port": "/dev/ttyA", "drive": [drive("pump", 1), drive("fan", 2, **more)]}]
-    writes = site.build(table(line=lines), "test", tmp_path)
+    writes = site.build(table(line=lines, sparkplug=None), "test", tmp_path)
     made = Store.of(writes, HandClock(), {})
     assert made is not None
     assert made.path == tmp_path / "state.sqlite"
-    reads = site.build(table(), "test", tmp_path)
+    reads = site.build(table(sparkplug=None), "test", tmp_path)
+    assert needs_store(site.build(table(), "test", tmp_path))
     assert needs_store(writes)
     assert not needs_store(reads)
     assert Store.of(reads, HandClock(), {}) is None

@@ -14,7 +14,7 @@ from gateway import site
 from gateway.control.state import Standing
 from gateway.control.wear import MEMORY, Wear
 from gateway.image import LinkState, Quality
-from gateway.metrics import Responses
+from gateway.metrics import MqttStats, Responses
 from gateway.web.exposition import families
 from tests.web.rig import NOW, Rig, table
 
@@ -81,7 +81,7 @@ def busy() -> Rig:
     rig.ledger.dropped = 6
     rig.image.by_name["pump-1"].set_tripped(True)
     rig.image.by_name["pump-1"].set_reset_needed(True)
-    mqtt, tcp = rig.stats.mqtt, rig.stats.tcp
+    mqtt, tcp = rig.stats.brokers.setdefault("", MqttStats()), rig.stats.tcp
     mqtt.is_connected, mqtt.connects, mqtt.published, mqtt.dropped, mqtt.waiting = True, 2, 900, 4, 17
     mqtt.inbox_dropped = 5
     sparkplug = rig.stats.sparkplug
@@ -167,6 +167,16 @@ def test_drive_counters_are_shown(busy: Rig) -> None:
     assert value(busy, "tosvert_drive_refusals_total", **pump) == 2
     assert value(busy, "tosvert_drive_longest_gap_seconds", **pump) == 0.41
     assert value(busy, "tosvert_drive_timeouts_total", line="b", drive="fan") == 0
+
+
+def test_brokers_with_names_are_told_apart() -> None:
+    """By a label; one that has counted nothing yet is there as well."""
+    brokers = [{"name": name, "url": f"mqtt://{name}"} for name in ("plant", "cloud")]
+    rig = Rig(site.build(table(mqtt=brokers), "test", Path()))
+    rig.stats.brokers["cloud"] = MqttStats(is_connected=True, published=7)
+    assert value(rig, "tosvert_mqtt_connected", broker="cloud") == 1
+    assert value(rig, "tosvert_mqtt_published_total", broker="cloud") == 7
+    assert value(rig, "tosvert_mqtt_connected", broker="plant") == 0
 
 
 def test_northbound_counters_are_shown(busy: Rig) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from gateway import site
 from gateway.image import LinkState, Quality
+from gateway.metrics import MqttStats
 from gateway.web import page
 from tests.web.rig import NOW, WALL, Rig, drive, table
 
@@ -152,10 +153,21 @@ def test_many_bad_values_are_counted_not_listed() -> None:
     )
 
 
+def test_every_broker_with_a_name_is_in_the_document() -> None:
+    """And all of them are connected only where each is."""
+    brokers = [{"name": name, "url": f"mqtt://{name}"} for name in ("plant", "cloud")]
+    rig = Rig(site.build(table(mqtt=brokers), "test", Path()))
+    rig.stats.brokers = {"plant": MqttStats(is_connected=True), "cloud": MqttStats()}
+    for cloud in (False, True):
+        rig.stats.brokers["cloud"].is_connected = cloud
+        told = page.as_document(judged(rig), rig.built, rig.stats, rig.clock.wall())["mqtt"]
+        assert told == {"connected": cloud, "brokers": {"plant": {"connected": True}, "cloud": {"connected": cloud}}}
+
+
 def test_the_document_says_it_all(rig: Rig) -> None:
     """Lines, drives, broker, times; and it is strict JSON."""
     rig.stats.lines["a"].load = 0.123456
-    rig.stats.mqtt.is_connected = True
+    rig.stats.brokers[""] = MqttStats(is_connected=True)
     rig.clock.moment += 0.5
     rig.image.by_name["fan"].set_link(LinkState.OFFLINE, "no answer")
     document = page.as_document(judged(rig), rig.built, rig.stats, rig.clock.wall())

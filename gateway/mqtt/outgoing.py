@@ -1,0 +1,129 @@
+"""What goes to the broker by one connection: handed to paho here and nowhere else, and followed until it is there.
+
+At QoS 0 a message is there when the socket has taken it, else when the broker has acknowledged it.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from gateway.metrics import MqttStats
+from gateway.mqtt.made import Made, Terms
+from gateway.mqtt.publisher import FOR_EVER
+
+LARGEST_OVERHEAD = 32  # bytes of a PUBLISH beside topic and payload
+PACKET_IDS = 60_000  # messages of QoS 1 and 2 that can be told apart, with a margin
+RESERVE = 256  # messages beyond the queue that may tell what became of commands: values must not keep that back
+
+
+class Outgoing:
+    """The messages of one connection on their way to the broker; `flush_soon` has them written without waiting."""
+
+    def __init__(self, made: Made, section: Terms, stats: MqttStats, flush_soon: Callable[[], None]) -> None:
+        self.capacity = min(section.queue, PACKET_IDS) if section.qos else section.queue
+        self.largest: int | None = None  # bytes of a packet that the broker takes
+        self.unwritten = 0  # messages since the last flush
+        self.is_closed = False
+        self._client = made.client
+        self._make_expiry = made.expiry
+        self._correlate = made.correlation
+        self._stats = stats
+        self._log = logging.getLogger(section.channel)
+        self._qos = section.qos
+        self._flush_soon = flush_soon
+        self._expiries: dict[int, Any] = {FOR_EVER: None}
+        self._on_their_way: deque[Any] = deque()
+        self._told: deque[Any] = deque()  # those of them that tell what became of commands
+        self._events: deque[Any] = deque()  # those that the broker has to acknowledge, whatever `qos` is
+
+    @property
+    def room(self) -> int:
+        """Return how many more messages may be on their way."""
+        return self.capacity - len(self._on_their_way)
+
+    @property
+    def is_empty(self) -> bool:
+        """Say whether all is there."""
+        return not self._on_their_way
+
+    # ---- what the publishers send
+
+    def send(self, topic: str, text: str, *, retain: bool, expiry: int) -> None:
+        """Hand a message to paho; a flush writes it."""
+        if self._is_too_large(topic, text):
+            self._stats.dropped += 1
+        else:
+            self._publish(topic, text, retain, self._expiry(expiry))
+
+    def carry(self, topic: str, payload: bytes) -> bool:
+        """Hand bytes to paho, not to be retained; a flush writes them. False where they are too large."""
+        if self._is_too_large(topic, payload):
+            return False
+        self._publish(topic, payload, retain=False, properties=None)
+        return True
+
+    def _is_too_large(self, topic: str, text: str | bytes) -> bool:
+        if self.largest is None:
+            return False
+        size = len(text if isinstance(text, bytes) else text.encode())
+        if len(topic) + size + LARGEST_OVERHEAD <= self.largest:
+            return False
+        self._log.warning("%s: larger than the %d bytes that the broker takes", topic, self.largest)
+        return True
+
+    def _publish(
+        self, topic: str, text: str | bytes, retain: bool, properties: Any, qos: int | None = None
+    ) -> None:
+        quality = self._qos if qos is None else qos
+        self._on_their_way.append(self._client.publish(topic, text, quality, retain, properties))
+        self.unwritten += 1
+        self._stats.published += 1
+
+    def _expiry(self, seconds: int) -> Any:
+        if seconds not in self._expiries:
+            self._expiries[seconds] = self._make_expiry(seconds)
+        return self._expiries[seconds]
+
+    # ---- what the listener says
+
+    def say(self, topic: str, text: str, *, expiry: int, is_event: bool = False) -> bool:
+        """Hand what happened to paho, and write it soon; False where too much is on its way."""
+        if not is_event:
+            return self._tell(topic, text, self._expiry(expiry))
+        if len(self._events) >= RESERVE or not self._tell(topic, text, self._expiry(expiry), max(1, self._qos)):
+            return False
+        self._events.append(self._on_their_way[-1])
+        return True
+
+    def reply(self, topic: str, text: str, correlation: bytes) -> bool:
+        """Hand an answer to paho, and write it soon; False where too much is on its way."""
+        return self._tell(topic, text, self._correlate(correlation))
+
+    def _tell(self, topic: str, text: str, properties: Any, qos: int | None = None) -> bool:
+        if self.room <= -RESERVE or self.is_closed or self._is_too_large(topic, text):
+            return False
+        self._publish(topic, text, retain=False, properties=properties, qos=qos)
+        self._told.append(self._on_their_way[-1])
+        self._flush_soon()
+        return True
+
+    # ---- what became of it
+
+    def count(self, *, is_all_written: bool) -> None:
+        """Let go of what is there; `is_all_written`: the socket has taken everything."""
+        waiting = self._on_their_way
+        if is_all_written and not self._qos:
+            waiting.clear()
+            self._told.clear()
+        for sent in (waiting, self._told, self._events):
+            while sent and sent[0].is_published():
+                sent.popleft()
+        self._stats.waiting = len(waiting)
+
+    def abandon(self) -> None:
+        """Count what was told and will never be known to be there."""
+        self.is_closed = True
+        self._stats.untold += len(self._told)

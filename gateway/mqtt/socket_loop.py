@@ -1,0 +1,153 @@
+"""The socket of one connection on the event loop: when it is read, how much at a stretch, and how it is written."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from typing import Any, Protocol
+
+from gateway.mqtt.reception import Reception
+
+READ_AT_ONCE = 8  # messages that are read at a stretch: well below a millisecond, so that no line waits for a flood
+LARGEST_PACKET = 64 * 1024  # bytes that the broker may send in one packet
+TOO_LARGE = "the broker sent a packet of %d bytes; no command needs more than %d"
+TCP_CORK = getattr(socket, "TCP_CORK", None)  # Linux
+
+
+class Owner(Protocol):
+    """Whose socket it is."""
+
+    @property
+    def lost(self) -> str | None:
+        """Return why the connection is lost; None while it is not."""
+        ...
+
+    def flush(self) -> None:
+        """Write what was sent."""
+        ...
+
+    def lose(self, reason: str) -> None:
+        """Take that the connection has ended."""
+        ...
+
+    def fail(self, error: Exception) -> None:
+        """Take an error that nobody expects."""
+        ...
+
+
+class SocketLoop:
+    """The socket of a paho client, from `attach` to `detach`."""
+
+    def __init__(self, client: Any, reception: Reception, owner: Owner) -> None:
+        self._client = client
+        self._reception = reception
+        self._owner = owner
+        self._loop = asyncio.get_running_loop()
+        self._fd = -1
+        self._is_writing = False
+        self._is_flushing_soon = False
+
+    def attach(self) -> bool:
+        """Have the loop watch the socket; False where paho has none any more."""
+        sock = self._client.socket()
+        if sock is None:
+            return False
+        self._fd = sock.fileno()
+        self._loop.add_reader(self._fd, self._readable)
+        return True
+
+    def detach(self) -> None:
+        """Watch it no more."""
+        if self._fd >= 0:
+            self._loop.remove_reader(self._fd)
+            if self._is_writing:
+                self._loop.remove_writer(self._fd)
+        self._fd, self._is_writing = -1, False
+
+    # ---- reading
+
+    def _readable(self) -> None:
+        if self._fd < 0:
+            return  # it was lost since this was asked for
+        try:
+            self._read()
+            self._reception.hand_over()
+            self._owner.flush()
+        except Exception as error:
+            self._owner.fail(error)
+
+    def _read(self) -> None:
+        """Read some messages; what is left makes the socket readable again, but for what was read already."""
+        for _ in range(READ_AT_ONCE):
+            before = self._reception.count
+            self._client.loop_read()
+            self._refuse_large_packet()
+            if self._owner.lost is not None:
+                return
+            if self._reception.count == before and not self._has_pending():
+                return
+        if self._has_pending():
+            self._loop.call_soon(self._readable)
+
+    def _refuse_large_packet(self) -> None:
+        """End the connection before paho collects a packet of up to 256 MiB: MQTT 3.1.1 cannot forbid them."""
+        size = self._client._in_packet["remaining_length"]
+        if size > LARGEST_PACKET and self._owner.lost is None:
+            self.detach()
+            self._owner.lose(TOO_LARGE % (size, LARGEST_PACKET))
+
+    def _has_pending(self) -> bool:
+        """Say whether TLS or a WebSocket holds bytes that it has read already, of which the socket tells nothing."""
+        pending = getattr(self._client.socket(), "pending", None)
+        return pending is not None and pending() > 0
+
+    # ---- writing
+
+    def write_soon(self) -> None:
+        """Have the owner flush when whoever sends has come to an end."""
+        if not self._is_flushing_soon:
+            self._is_flushing_soon = True
+            self._loop.call_soon(self._writable)
+
+    def _writable(self) -> None:
+        self._is_flushing_soon = False
+        if self._fd < 0:
+            return
+        try:
+            self._owner.flush()
+        except Exception as error:
+            self._owner.fail(error)
+
+    def write(self, messages: int) -> bool:
+        """Write what paho holds; say whether all of it is written. The rest is as soon as the socket takes it."""
+        if messages > 1:
+            self._write_corked()
+        else:
+            self._client.loop_write()
+        wants_write = bool(self._client.want_write()) or not self._pushed()
+        if self._fd >= 0 and wants_write is not self._is_writing:
+            self._is_writing = wants_write
+            if wants_write:
+                self._loop.add_writer(self._fd, self._writable)
+            else:
+                self._loop.remove_writer(self._fd)
+        return not wants_write
+
+    def _pushed(self) -> bool:
+        """Write what a WebSocket has taken of paho and not written yet; say whether that is all."""
+        push = getattr(self._client.socket(), "push", None)
+        try:
+            return push is None or bool(push())
+        except OSError:
+            return True  # reading says why the connection is lost
+
+    def _write_corked(self) -> None:
+        """Write several messages as one segment: paho hands them to the socket one by one."""
+        sock = self._client.socket()
+        if sock is None or TCP_CORK is None:
+            self._client.loop_write()
+            return
+        sock.setsockopt(socket.IPPROTO_TCP, TCP_CORK, 1)
+        self._client.loop_write()
+        if self._fd >= 0:
+            sock.setsockopt(socket.IPPROTO_TCP, TCP_CORK, 0)
