@@ -80,7 +80,7 @@ class Learning:
         """Do other jobs from now on, or what follows this one."""
         if learnt.jobs is not None:
             self._set_jobs(station, learnt.jobs)
-        elif (later := station.reader.follow_up(job.work, now)) is not None:
+        elif (later := station.reader.jobs.follow_up(job.work, now)) is not None:
             self._schedule.add(later)
 
     def _set_jobs(self, station: Station, jobs: list[Job[Work]]) -> None:
@@ -88,7 +88,7 @@ class Learning:
         self._schedule.set_jobs(station.drive.name, jobs)
         self._schedule.turn = promises.turn(self._served.stations.values(), self._schedule, self._beside)
         if (control := self._served.control_of(station)) is not None:
-            control.state.carrying.offer(station.reader.exchange())
+            control.state.carrying.offer(station.reader.jobs.exchange())
 
     def _tell(self, station: Station, learnt: Learnt) -> None:
         for note in learnt.notes:

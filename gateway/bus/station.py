@@ -10,7 +10,8 @@ from gateway.bus.blocks import Planner
 from gateway.bus.controls import LineControls
 from gateway.bus.keepalive import Keepalive
 from gateway.bus.link import Link
-from gateway.bus.reader import DriveReader, phases
+from gateway.bus.poll_jobs import phases
+from gateway.bus.reader import DriveReader
 from gateway.bus.refresh import WorstCase, turn, worst_case
 from gateway.bus.schedule import Job, Schedule
 from gateway.bus.work import Task, Work

@@ -38,7 +38,7 @@ class Trips:
             log.info("%s is no longer tripped", station.drive.name)
         station.image.set_tripped(is_tripped)
         if station.reader.is_set_up:
-            self._learning.add(station, station.reader.on_trip(), now)
+            self._learning.add(station, station.reader.jobs.on_trip(), now)
 
     def _settle(self, station: Station, now: float) -> None:
         """Have trip code and status read again where they differ: one of them is old."""
@@ -46,4 +46,4 @@ class Trips:
             return
         if now >= station.trip_looked + TRIP_AGAIN:  # where they go on to disagree, not without end
             station.trip_looked = now
-            self._learning.add(station, station.reader.on_trip(), now)
+            self._learning.add(station, station.reader.jobs.on_trip(), now)
