@@ -10,8 +10,9 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 from gateway import __version__, systemd
+from gateway.bus.line import Opener
 from gateway.bus.serial_line import open_line
-from gateway.bus.worker import LineWorker, Opener
+from gateway.bus.worker import LineWorker
 from gateway.clock import Clock, SystemClock
 from gateway.config import MqttSection
 from gateway.control.command import Result

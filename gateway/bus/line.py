@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable, Callable
 from typing import Protocol
+
+from gateway import site
+from gateway.clock import Clock
+
+SETTLE = 0.1  # seconds of silence after opening: half a frame of whoever spoke before is let go
+LATE_AT_MOST = 0.4  # seconds after a time-out in which the old answer may still come, twice the margin at least
 
 
 class Line(Protocol):
@@ -46,3 +53,6 @@ class Line(Protocol):
     def close(self) -> None:
         """Close the port."""
         ...
+
+
+Opener = Callable[[site.Line, Clock], Awaitable[Line]]

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 from gateway.bus import selectors
 from gateway.bus.blocks import Abilities, PlannedRead, Planner
-from gateway.bus.reader import BLOCK_MODE, DriveReader
+from gateway.bus.poll_jobs import PollJobs
+from gateway.bus.reading import BLOCK_MODE, Reading
 from gateway.bus.schedule import Job
 from gateway.bus.work import Work
 from gateway.protocol.pdu import ReadBlock
@@ -57,8 +58,9 @@ def plan_drive(drive: Drive, line: Line, *, with_selectors: bool) -> DrivePlan:
     """Plan a drive as it is shipped (no selectors set), or with the best selectors set."""
     processing = drive.model.times.processing + drive.wait_time
     planner = Planner(drive.number, drive.model, drive.codec, line.timing, processing)
-    reader = DriveReader(drive, planner, drives=len(line.drives))
+    reading = Reading(drive, planner, drives=len(line.drives))
     codes = selectors.best(drive) if with_selectors and planner.has_block else ()
-    reader.able = Abilities(mapping=selectors.mapping_of(drive.model, codes))
-    reader.facts = dict.fromkeys({BLOCK_MODE} & drive.model.registers.keys(), 0)
-    return DrivePlan(drive, planner, codes, reader.plan(), reader.polls(0.0))
+    reading.able = Abilities(mapping=selectors.mapping_of(drive.model, codes))
+    reading.facts = dict.fromkeys({BLOCK_MODE} & drive.model.registers.keys(), 0)
+    jobs = PollJobs(reading)
+    return DrivePlan(drive, planner, codes, jobs.plan(), jobs.polls(0.0))

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from gateway import site
 from gateway.bus.echo import LocalEcho
 from gateway.bus.exchange import Exchanger
-from gateway.bus.line import Line
+from gateway.bus.line import LATE_AT_MOST, SETTLE, Line, Opener
 from gateway.bus.serial_line import open_line
-from gateway.bus.worker import LATE_AT_MOST, SETTLE, Opener
 from gateway.clock import Clock
 from gateway.control.writes import PlannedWrite, Verdict, judge
 from gateway.drives.notation import label

@@ -10,9 +10,8 @@ from typing import Protocol
 from gateway import site
 from gateway.bus.exchange import Exchanger
 from gateway.bus.groups import family
-from gateway.bus.line import Line
+from gateway.bus.line import LATE_AT_MOST, SETTLE, Line, Opener
 from gateway.bus.serial_line import open_line
-from gateway.bus.worker import LATE_AT_MOST, SETTLE, Opener
 from gateway.clock import Clock
 from gateway.commissioning import scan_plan
 from gateway.commissioning.findings import Found, Result

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from gateway import site
 from gateway.bus import selectors
 from gateway.bus.blocks import HOLE, Abilities, PlannedRead, Planner, area
-from gateway.bus.reader import DriveReader
+from gateway.bus.poll_jobs import PollJobs
+from gateway.bus.reading import Reading
 from gateway.bus.work import Task
 from gateway.drives import catalogue
 from gateway.drives.model import Model
@@ -169,7 +170,7 @@ def _cost_of(plan: Planner, order: list[Register], cuts: tuple[bool, ...]) -> fl
 # ---- in every protocol and model: as often as promised, no hole, no limit broken
 
 
-def drive_of(draw: st.DrawFn) -> tuple[site.Drive, DriveReader]:
+def drive_of(draw: st.DrawFn) -> tuple[site.Drive, Reading]:
     """Draw a drive of any model with poll groups of any values, and its reading."""
     model = MODELS[draw(st.sampled_from(["vf-nc3", "vf-mb1"]))]
     protocol = draw(st.sampled_from(sorted(PROTOCOLS)))
@@ -183,26 +184,26 @@ def drive_of(draw: st.DrawFn) -> tuple[site.Drive, DriveReader]:
     ).lines
     (drive,) = line.drives
     plan = Planner(1, drive.model, drive.codec, line.timing, drive.model.times.processing)
-    return drive, DriveReader(drive, plan)
+    return drive, Reading(drive, plan)
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_every_asked_register_is_read_as_often_as_promised_in_every_protocol(data: st.DataObject) -> None:
     """By one read of its fastest group or a faster one, by none besides but a block that carries it anyway."""
-    drive, reader = data.draw(st.composite(drive_of)())
+    drive, reading = data.draw(st.composite(drive_of)())
     forms, model = drive.codec.forms, drive.model
     codes = [code for code, name in model.read_selectors.items() if name]
     if forms.has_block and data.draw(st.booleans()):
         words = data.draw(st.lists(st.sampled_from(codes), min_size=5, max_size=5, unique=True))
-        reader.able = Abilities(mapping=selectors.mapping_of(model, words))
+        reading.able = Abilities(mapping=selectors.mapping_of(model, words))
     promised: dict[str, float] = {}
     for group in drive.groups:
         for register in group.registers:
             promised[register.name] = min(group.period, promised.get(register.name, group.period))
     polls = [
         (job.period, job.work.read)
-        for job in reader.polls(0.0)
+        for job in PollJobs(reading).polls(0.0)
         if job.work.task is Task.POLL and job.period is not None and job.work.read is not None
     ]
     for name, period in promised.items():

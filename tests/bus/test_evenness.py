@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from gateway.bus import selectors
 from gateway.bus.blocks import Abilities
 from gateway.bus.plan import plan_drive
-from gateway.bus.reader import DriveReader, phases
+from gateway.bus.poll_jobs import PollJobs, phases
+from gateway.bus.reading import Reading
 from gateway.bus.schedule import Job, Schedule, Send, on_grid, spread
 from gateway.bus.work import Task, Work
 from gateway.drives import catalogue
@@ -30,9 +31,9 @@ def joined(polls: list[dict[str, Any]], drives: int, chance: Random) -> tuple[Sc
     times = {}
     for place, drive in enumerate(line.drives):
         now = times[drive.name] = chance.uniform(0, 3.0)
-        reader = DriveReader(drive, plan_drive(drive, line, with_selectors=False).planner, place, drives)
-        reader.able = Abilities(no_direct=frozenset(range(0x100)))
-        jobs = [job for job in reader.polls(now) if job.work.task is Task.POLL and job.period is not None]
+        reading = Reading(drive, plan_drive(drive, line, with_selectors=False).planner, place, drives)
+        reading.able = Abilities(no_direct=frozenset(range(0x100)))
+        jobs = [job for job in PollJobs(reading).polls(now) if job.work.task is Task.POLL and job.period is not None]
         schedule.set_jobs(drive.name, jobs)
     return schedule, times
 

@@ -9,7 +9,8 @@ import pytest
 
 from gateway import site
 from gateway.bus.blocks import Abilities, PlannedRead, Planner, area
-from gateway.bus.reader import BUSY_BLOCKS, REFUSALS, DriveReader
+from gateway.bus.reader import DriveReader
+from gateway.bus.refusals import BUSY_BLOCKS, REFUSALS
 from gateway.bus.work import Learnt, Task, Work
 from gateway.errors import Refusal, Refused
 from gateway.protocol.pdu import ReadBlock, ReadWords, Words
@@ -26,22 +27,22 @@ def reader() -> DriveReader:
     (line,) = site.build(table, "test", Path()).lines
     (drive,) = line.drives
     made = DriveReader(drive, Planner(1, drive.model, drive.codec, line.timing, 0.015))
-    made.able = Abilities(mapping=tuple(drive.model.registers[name] for name in FIVE))
-    made.facts = {"reset_detection": 1, "block_mode": 0}
-    made.is_set_up = True
+    made.reading.able = Abilities(mapping=tuple(drive.model.registers[name] for name in FIVE))
+    made.reading.facts = {"reset_detection": 1, "block_mode": 0}
+    made.reading.is_set_up = True
     return made
 
 
 def refuse_a_direct_block(of: DriveReader) -> Learnt:
     """Refuse FD00-FD03 in one."""
-    registers = [of.drive.model.registers[name] for name in ("output_frequency", "status")]
+    registers = [of.reading.drive.model.registers[name] for name in ("output_frequency", "status")]
     read = PlannedRead(ReadWords(1, 0xFD00, 2), tuple(registers))
     return of.on_refused(Work(Task.POLL, read.request, read), NO_SUCH, 1.0)
 
 
 def refuse_a_value(of: DriveReader) -> Learnt:
     """Refuse a single read as often as it takes."""
-    register = of.drive.model.registers["input_voltage"]
+    register = of.reading.drive.model.registers["input_voltage"]
     work = Work(Task.POLL, ReadWords(1, register.address), PlannedRead(ReadWords(1, register.address), (register,)))
     return [of.on_refused(work, NO_SUCH, float(time)) for time in range(REFUSALS)][-1]
 
@@ -54,7 +55,7 @@ def refuse_the_block(of: DriveReader) -> Learnt:
 
 def reset(of: DriveReader) -> None:
     """Read FA87 as 0: the drive was reset, and nobody saw it silent."""
-    register = of.drive.model.registers["reset_detection"]
+    register = of.reading.drive.model.registers["reset_detection"]
     read = PlannedRead(ReadWords(1, register.address), (register,))
     learnt = of.on_reply(Work(Task.RECHECK, read.request, read), Words((0,)), 2.0)
     assert "the drive was reset" in learnt.notes
@@ -63,9 +64,9 @@ def reset(of: DriveReader) -> None:
 
 def is_planned_around(of: DriveReader) -> dict[str, bool]:
     """Say what is not asked for."""
-    reads = [read for _, reads in of.plan() for read in reads]
+    reads = [read for _, reads in of.jobs.plan() for read in reads]
     return {
-        "direct": area(0xFD00) in of.able.no_direct,
+        "direct": area(0xFD00) in of.reading.able.no_direct,
         "value": "input_voltage" not in {register.name for read in reads for register in read.registers},
         "block": not any(isinstance(read.request, ReadBlock) for read in reads),
     }
@@ -90,10 +91,10 @@ def test_a_refusal_is_planned_around_until_a_reset_or_a_loss(what: str, again: C
     if what != "block":
         assert not is_planned_around(of)["block"]
     again(of)
-    assert area(0xFD00) not in of.able.no_direct
-    assert of.absent == set()
+    assert area(0xFD00) not in of.reading.able.no_direct
+    assert of.reading.absent == set()
     if what == "block":  # its mapping has to be proved again: the selectors that are read then say which
-        assert of.able.mapping is None
+        assert of.reading.able.mapping is None
     else:
         assert not is_planned_around(of)["value"]
 
@@ -101,7 +102,7 @@ def test_a_refusal_is_planned_around_until_a_reset_or_a_loss(what: str, again: C
 def test_refusals_before_a_reset_do_not_count_with_those_after_it() -> None:
     """One refusal of a value and two of a busy block, a reset, one more each: nothing is given up."""
     of = reader()
-    register = of.drive.model.registers["input_voltage"]
+    register = of.reading.drive.model.registers["input_voltage"]
     single = PlannedRead(ReadWords(1, register.address), (register,))
     value = Work(Task.POLL, single.request, single)
     block = Work(Task.POLL, ReadBlock(1, 0x1875, 5))
@@ -109,10 +110,10 @@ def test_refusals_before_a_reset_do_not_count_with_those_after_it() -> None:
     for _ in range(BUSY_BLOCKS - 1):
         of.on_refused(block, busy, 1.0)
     of.on_refused(value, NO_SUCH, 1.0)
-    mapping = of.able.mapping
+    mapping = of.reading.able.mapping
     reset(of)
-    of.able = Abilities(mapping=mapping)  # proved again
+    of.reading.able = Abilities(mapping=mapping)  # proved again
     assert of.on_refused(block, busy, 3.0).jobs is None
     assert of.on_refused(value, NO_SUCH, 3.0).jobs is None
-    assert of.able.mapping == mapping
-    assert of.absent == set()
+    assert of.reading.able.mapping == mapping
+    assert of.reading.absent == set()
