@@ -194,7 +194,7 @@ def _block_write(plan: DrivePlan) -> str:
     if not (plan.uses_block and drive.codec.forms.has_exchange and blocks.has_exchange):
         return "block_write = true has no effect: no block is read, or nothing can be written with it"
     if drive.codec.forms.writes_all_or_none:
-        return "run commands go with the block read: F870=1, F871=3 (command and frequency), or F870=1, F871=0"
+        return "run commands go with the block read: F870=1, F871=3 (command and frequency)"
     return "run commands go with the block read: F870=1, F871=0 (of two words, X may take one and refuse the other)"
 
 

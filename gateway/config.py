@@ -458,7 +458,7 @@ class DriveSection(Section):
         False, description="set F875-F879 where they differ from what is best: wears the EEPROM once"
     )
     block_write: bool = Field(
-        False, description="run commands go with the block read where F870 = 1 (F871 = 3); tried at each arming"
+        False, description="run commands go with the block read where F870 = 1, F871 = 3; tried when the drive comes"
     )
     wait_time: Duration = Field(0.0, ge=0, le=2, description="F805 as set in the drive")
     poll: list[PollSection] = Field([], description="the model's profile where empty")

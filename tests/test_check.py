@@ -130,7 +130,7 @@ def test_what_a_protocol_has_not_got_is_said() -> None:
 @pytest.mark.parametrize(
     ("protocol", "said"),
     [
-        ("modbus-rtu", "go with the block read: F870=1, F871=3 (command and frequency), or F870=1, F871=0"),
+        ("modbus-rtu", "go with the block read: F870=1, F871=3 (command and frequency)"),
         ("toshiba-binary", "go with the block read: F870=1, F871=0 ("),
         ("toshiba-ascii", "block_write = true has no effect"),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 
 from gateway.bus.controls import Commanded
@@ -17,6 +18,8 @@ from gateway.control.state import Errand
 from gateway.errors import BadReply, NoReply, Refusal, Refused, TooLate
 from gateway.image import LinkState
 from gateway.protocol.pdu import Exchange, Exchanged, ReadWords, Words, WriteStored
+
+log = logging.getLogger("gateway.bus")
 
 
 class CommandFrames:
@@ -53,6 +56,8 @@ class CommandFrames:
             self._refused(station, control, errand, refused)
         else:
             self._carried(station, control, errand, answered)
+        if station.reader.is_on_trial and not isinstance(request, ReadWords):
+            self._learning.stopped(station, self._clock.now())
         self._links.watch(station)
 
     def _with_block(self, station: Station, control: DriveControl, errand: Errand) -> Errand:
@@ -92,7 +97,9 @@ class CommandFrames:
         if refused.reason in (Refusal.CHECKSUM, Refusal.OTHER):
             control.on_silence(errand, str(refused), now)
         elif errand.execution is not None and isinstance(errand.request, Exchange):
-            control.state.carrying.was_refused(errand.execution, refused, now)
+            if control.state.carrying.was_refused(errand.execution, refused, now):
+                log.warning("%s: commands go in frames of their own: %s", station.drive.name, refused)
+                station.reader.give_up_exchange()
         else:
             control.on_refused(errand, refused)
 
@@ -107,7 +114,11 @@ class CommandFrames:
                 pairs = list(enumerate(reply.words, request.address))
                 station.image.apply(pairs, answered.done, self._clock.wall())
         control.on_reply(errand, reply, answered.done)
-        if errand.execution is not None and isinstance(reply, Exchanged):
+        if isinstance(reply, Exchanged):
+            if reply.failed:
+                log.warning("%s: commands go in frames of their own: not written by the exchange", station.drive.name)
+                control.state.carrying.form = None
+                station.reader.give_up_exchange()
             self._read_along(station, reply, answered.done)
 
     def _lives(self, station: Station, now: float, *, is_good: bool = True) -> None:
@@ -122,5 +133,11 @@ class CommandFrames:
         if poll is None or not station.link.state.is_connected:
             return
         job = poll if poll.may_begin(done) else Job(poll.drive, poll.work, None, done, done)
+        if job is poll and job.period in station.stats.responses:
+            asked_since = job.due if job.period else job.waits_since
+            station.stats.responses[job.period].observe(done - asked_since)
+        station.vain = 0
         words = Words(reply.words, reply.is_tripped)
-        self._learning.learn(station, job, station.reader.on_reply(poll.work, words, done), done)
+        learnt = station.reader.on_reply(poll.work, words, done)
+        self._learning.learn(station, job, learnt, done)
+        self._trips.read(station, learnt.words, done, flag=reply.is_tripped)

@@ -44,6 +44,15 @@ class Learning:
         if now < station.quiet_until:
             self._schedule.hold(station.drive.name, station.quiet_until)
 
+    def stopped(self, station: Station, now: float) -> None:
+        """Take that a stop was sent to a drive whose exchange is being tried: the trial is put right."""
+        learnt = station.reader.on_stop(now)
+        self._tell(station, learnt)
+        if learnt.is_ready:
+            self._ready(station)
+        if learnt.jobs is not None:
+            self._set_jobs(station, learnt.jobs)
+
     def unanswered(self, station: Station, job: Job[Work], now: float) -> None:
         """Go on with a drive that did not answer, and is not lost."""
         self._schedule.done(job, now)
@@ -88,7 +97,7 @@ class Learning:
         self._schedule.set_jobs(station.drive.name, jobs)
         self._schedule.turn = promises.turn(self._served.stations.values(), self._schedule, self._beside)
         if (control := self._served.control_of(station)) is not None:
-            control.state.carrying.offer(station.reader.jobs.exchange())
+            control.state.carrying.form = station.reader.form
 
     def _tell(self, station: Station, learnt: Learnt) -> None:
         for note in learnt.notes:

@@ -119,13 +119,15 @@ class PollJobs:
     def exchange(self) -> Form | None:
         """Return the exchange of a block poll with what F870 and F871 select; None where there is none."""
         drive, model, forms = self._drive, self._drive.model, self._drive.codec.forms
-        if not (drive.block_write and self._reading.is_set_up and forms.has_exchange and model.blocks.has_exchange):
+        if not (drive.block_write and forms.has_exchange and model.blocks.has_exchange):
             return None
         connector = model.connector()
         codes = [self._reading.facts.get(name) for name in (connector.block_write if connector else ())]
         requests = (read.request for _, reads in self.plan() for read in reads)
         block = next((request for request in requests if isinstance(request, ReadBlock)), None)
-        return Form(block, selected(codes, model.write_selectors)) if block is not None else None
+        if block is None:
+            return None
+        return Form(block, model.blocks.indirect_write_address, selected(codes, model.write_selectors))
 
     # ---- at need
 

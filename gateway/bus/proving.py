@@ -7,8 +7,10 @@ from dataclasses import replace
 
 from gateway.bus.poll_jobs import PollJobs
 from gateway.bus.reading import BLOCK_MODE, DISPLAY_NOTE, Reading
+from gateway.bus.trial import Trial
 from gateway.bus.work import Learnt, Task, Work
-from gateway.protocol.pdu import ReadWords
+from gateway.errors import Refused
+from gateway.protocol.pdu import ReadWords, Reply
 
 SILENT_BLOCKS = 3  # block reads without an answer while other questions have one, before the block is given up
 NOT_IN_FORCE = "the block does not carry what F875-F879 say: a changed selector acts only after a reset of the drive"
@@ -20,6 +22,7 @@ class Proving:
     def __init__(self, reading: Reading, jobs: PollJobs) -> None:
         self._reading = reading
         self._jobs = jobs
+        self.trial = Trial(reading, jobs)
 
     def start(self, now: float, notes: Sequence[str] = ()) -> Learnt:
         """Begin with what the selectors say, or with what was in force before they were written."""
@@ -85,7 +88,44 @@ class Proving:
         return self.start_polls(now, ["the block is not answered; other reads instead"])
 
     def start_polls(self, now: float, notes: Sequence[str] = ()) -> Learnt:
-        """End the set-up: the drive is ready."""
+        """End the set-up: once the exchange is tried, where commands are to go by it, the drive is ready."""
+        said = self.trial.begin()
+        return self._go_on([*notes, said] if said else notes, now)
+
+    def _go_on(self, notes: Sequence[str], now: float) -> Learnt:
+        was_tried, step = self.trial.is_under_way, self.trial.next()
+        if step is not None:
+            return Learnt(jobs=[self._reading.at_once(step, now)], notes=list(notes))
         self._reading.is_set_up = True
         self._reading.pending = None
-        return Learnt(jobs=self._jobs.polls(now), is_ready=True, notes=list(notes))
+        warnings = [self.trial.said] if was_tried and self.trial.said else []
+        return Learnt(jobs=self._jobs.polls(now), is_ready=True, notes=list(notes), warnings=warnings)
+
+    # ---- the trial of its exchange
+
+    def tried(self, work: Work, reply: Reply, now: float) -> Learnt:
+        """Take the answer to a frame of the trial."""
+        self.trial.answered(work, reply)
+        return self._after(now)
+
+    def trial_refused(self, work: Work, refused: Refused, now: float) -> Learnt:
+        """Take a refusal of such a frame."""
+        self.trial.refused(work, refused)
+        return self._after(now)
+
+    def trial_unanswered(self, now: float) -> Learnt:
+        """Take that such a frame had no answer, though the drive is there."""
+        self.trial.unanswered()
+        return self._after(now)
+
+    def disturbed(self, now: float) -> Learnt:
+        """Take that a stop was sent while the exchange was tried."""
+        self.trial.disturbed()
+        return self._after(now)
+
+    def _after(self, now: float) -> Learnt:
+        """Go on with the trial, or say what came of it."""
+        learnt = self._go_on((), now)
+        if learnt.is_ready and self.trial.said:
+            learnt.warnings = [self.trial.said]
+        return learnt

@@ -17,6 +17,7 @@ from gateway.bus.reading import Reading
 from gateway.bus.refusals import Refusals
 from gateway.bus.set_up import SetUp
 from gateway.bus.work import Learnt, Task, Work
+from gateway.control.carrying import Form
 from gateway.errors import Refused
 from gateway.protocol.pdu import Identity, Reply, Words, Written
 from gateway.site import Drive
@@ -67,6 +68,26 @@ class DriveReader:
         """Return who the drive is, in words, for people."""
         return self.reading.who.described(self.reading.facts)
 
+    # ---- its exchange
+
+    @property
+    def form(self) -> Form | None:
+        """Return the exchange by which commands may go with the block; None where none is proven."""
+        return self._proving.trial.form
+
+    @property
+    def is_on_trial(self) -> bool:
+        """Say whether its exchange is being tried."""
+        return self._proving.trial.is_under_way
+
+    def on_stop(self, now: float) -> Learnt:
+        """Take that a stop was sent while its exchange is being tried."""
+        return self._proving.disturbed(now)
+
+    def give_up_exchange(self) -> None:
+        """Take that the drive has refused its exchange, or not written what it should."""
+        self._proving.trial.give_up()
+
     # ---- what is asked
 
     def identify(self) -> Work:
@@ -104,6 +125,8 @@ class DriveReader:
                 return self._proving.display_seen(words[0], now)
             case Task.PROVISION, Written() if work.register is not None:
                 return self._set_up.provisioned(work.register, now)
+            case Task.TRIAL, _:
+                return self._proving.tried(work, reply, now)
         return Learnt()
 
     def on_refused(self, work: Work, refused: Refused, now: float) -> Learnt:
@@ -117,3 +140,4 @@ class DriveReader:
     def forget(self) -> None:
         """Forget all that a reset or another drive may have changed; the mapping in force stays a candidate."""
         self.reading.forget()
+        self._proving.trial.forget()

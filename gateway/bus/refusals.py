@@ -36,6 +36,8 @@ class Refusals:
                 return Learnt(is_ready=True) if reading.is_set_up else self._set_up.begin(now)
             case Work(Task.PROVISION, register=Register() as register):
                 return self._set_up.not_provisioned(register, refused, now)
+            case Work(Task.TRIAL):
+                return self._proving.trial_refused(work, refused, now)
             case Work(Task.DISPLAY):
                 return self._proving.display_seen(0, now)
             case Work(Task.TRIP | Task.BLOCK_MODE):

@@ -65,6 +65,8 @@ class SetUp:
             learnt = self._proving.unanswered(now)
             if learnt is not None:
                 return learnt
+        if pending is not None and pending.task is Task.TRIAL:
+            return self._proving.trial_unanswered(now)
         if pending is not None and pending.task is not Task.PROVISION:
             return Learnt(jobs=[self._reading.at_once(pending, now)])
         return self.begin(now)

@@ -26,6 +26,7 @@ class Task(Enum):
     PROVISION = "provision"
     TRIP = "trip"
     DISPLAY = "display"
+    TRIAL = "trial"
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from gateway.control import watchdog
 from gateway.control.admission import NotAdmitted, Plan
 from gateway.control.command import GATEWAY, Answer, Channel, Command, Reason, Result, Source, Status, Verb
 from gateway.control.composing import FREQUENCY
-from gateway.control.execution import Execution, Phase
+from gateway.control.execution import Execution
 from gateway.control.lease import Lease
 from gateway.control.loss import Loss
 from gateway.control.resets import CLEARED, Resets
@@ -203,7 +203,6 @@ class DriveControl:
             self.lease.renew(min(now, command.received))
             marking = self.resets.marking(command, answer, self._arm)
             if marking is not None:
-                self.state.carrying.begin()
                 self.state.queue.put(marking)
                 return
             self._arm()
@@ -277,7 +276,7 @@ class DriveControl:
         is_stop_pending = state.queue.has_stop or self.standing is Standing.LOST
         was_online, state.is_online, state.is_heard = state.is_online, False, False
         state.is_tripped = None
-        self.state.carrying.forget(was_reset=False)
+        state.carrying.form = None
         state.queue.clear(Reason.OFFLINE, reason)
         self.loss.link_lost(is_stop_pending=is_stop_pending, reason=reason, now=now)
         if was_online:
@@ -356,8 +355,6 @@ class DriveControl:
                 return self._next_of(execution, now)
             return None
         look = self.resets.look_before(execution, now)
-        if look is None:
-            look = self._trial_before(execution)
         if look is not None and now <= execution.command.deadline:
             return look
         request = execution.next(now)
@@ -365,13 +362,6 @@ class DriveControl:
             self._settle(execution)
             return None
         return Errand(request, execution)
-
-    def _trial_before(self, execution: Execution) -> Errand | None:
-        """Return the next frame of the trial whether commands may go with the block, which is made before arming."""
-        if execution.command.verb is not Verb.ARM or execution.phase is not Phase.WRITING:
-            return None
-        step = self.state.carrying.next_step(self.facts)
-        return Errand(step, is_trial=True) if step is not None else None
 
     def _begin(self, execution: Execution, now: float) -> bool:
         """Make up the writes of a command from what the drive holds now; say whether it may be sent."""
@@ -410,9 +400,7 @@ class DriveControl:
     def on_reply(self, errand: Errand, reply: Reply | None, now: float) -> None:
         """Take an answer; None where none was to be expected."""
         execution = errand.execution
-        if errand.is_trial:
-            self.state.carrying.answered(reply)
-        elif errand.look is not None and isinstance(reply, Words):
+        if errand.look is not None and isinstance(reply, Words):
             self.loss.seen(errand.look, reply.words[0], now)
             self.resets.seen(errand.look, reply.words[0], now)
             if errand.look.name == "trip_code" and reply.words[0]:
@@ -425,8 +413,6 @@ class DriveControl:
 
     def on_refused(self, errand: Errand, refused: Refused) -> None:
         """Take a refusal."""
-        if errand.is_trial:
-            self.state.carrying.refused(refused)
         if errand.look is not None:
             self.resets.refused(errand.look, refused.reason)
         if errand.execution is not None:
@@ -436,8 +422,6 @@ class DriveControl:
     def on_silence(self, errand: Errand, text: str, now: float) -> None:
         """Take silence, or bytes that are no answer."""
         execution = errand.execution
-        if errand.is_trial:
-            self.state.carrying.silent(text)
         if execution is None or execution.is_over:
             return
         if not execution.write.is_answered:  # noise where silence was expected

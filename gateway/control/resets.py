@@ -48,7 +48,7 @@ class Resets:
         """Take that the drive was reset: it is set up anew, and armed anew. Whether it stands is seen then."""
         state = self.state
         state.needs_set_up, state.is_marked = True, False
-        state.carrying.forget(was_reset=True)
+        state.carrying.form = None
         self._to_observe = []
         self.is_stop_lost |= state.queue.has_stop
         state.queue.clear(Reason.OFFLINE, reason)

@@ -39,12 +39,11 @@ class Standing(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Errand:
-    """One frame for a drive: of a command, a look at a register, or of the trial of its exchange."""
+    """One frame for a drive: of a command, or a look at a register."""
 
     request: Request
     execution: Execution | None = None
     look: Register | None = None
-    is_trial: bool = False
 
     @property
     def not_after(self) -> float:
@@ -181,12 +180,11 @@ class DriveState:
     is_marked: bool = False  # FA87 was set, so that a reset that nobody sees can be told
     facts: dict[str, int] = field(default_factory=dict)
     queue: Queue = field(default_factory=Queue)
+    carrying: Carrying = field(default_factory=Carrying)
     lease: Lease = field(init=False)
     admission: Admission = field(init=False)
-    carrying: Carrying = field(init=False)
 
     def __post_init__(self) -> None:
-        self.carrying = Carrying(self.drive)
         self.lease = Lease(self.settings.lease)
         self.admission = Admission(self.drive, self.settings)
 

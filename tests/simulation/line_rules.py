@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from gateway.control.carrying import TRIAL
+from gateway.bus.trial import COMMAND_WORD, FREQUENCY_WORDS
 from gateway.control.command import Verb
 from gateway.control.composing import COMMAND, FREQUENCY, runs
 from gateway.drives.model import Model
@@ -124,24 +124,41 @@ class LineRules:
         names = (COMMAND, FREQUENCY)[: 2 if self.setup.protocol == "modbus-rtu" else 1]
         given = dict(zip(names, words, strict=False))
         self.world.note("block", known.name, *(f"{word:04X}" for word in words))
-        if given == {name: TRIAL[name] for name in names}:
-            if known.drive.inverter.is_running or memory.word(COMMAND) or known.armed == float("-inf"):
-                self.tell(f"{known.name}: the exchange was tried while it runs, is commanded, or was never armed")
-            known.held = memory.word(FREQUENCY)
-        elif given != {COMMAND: 0, FREQUENCY: known.held} and given != {COMMAND: 0}:
-            for name, word in given.items():
-                self._write(known, Written(known.drive.number, registers[name].address, word, is_stored=False))
+        if given[COMMAND] == COMMAND_WORD and given.get(FREQUENCY, FREQUENCY_WORDS[0]) in FREQUENCY_WORDS:
+            if known.drive.inverter.is_running or memory.word(COMMAND) not in (0, COMMAND_WORD):
+                self.tell(f"{known.name}: the exchange was tried while it runs, or is commanded")
+            if known.held is None:
+                known.held = memory.word(FREQUENCY)
+            return
+        for name, word in given.items():
+            self._write(known, Written(known.drive.number, registers[name].address, word, is_stored=False))
 
     def _write(self, known: Known, write: Written) -> None:
         self.world.note("write", known.name, f"{write.address:04X}", f"{write.word:04X}", write.is_stored)
         model = known.drive.model
+        if known.held is not None and self._puts_right(known, write):
+            return
         if not known.is_commanded and write.address not in _watchdog(model):
             self.tell(f"{known.name}: {write.address:04X}H = {write.word:04X}H was written before any command")
         command = model.registers[COMMAND]
         if write.address == command.address and runs(command, write.word):
+            known.held = None  # whatever was to be put right
             self._run(known)
         if write.address == model.registers[FREQUENCY].address:
             self._setpoint(known, write.word)
+
+    def _puts_right(self, known: Known, write: Written) -> bool:
+        """Say whether a write is what a trial of the exchange owes: FA00 is 0 again, FA01 as it was, once."""
+        registers, memory = known.drive.model.registers, known.drive.inverter.memory
+        if write.address == registers[COMMAND].address:
+            return write.word == 0 and memory.word(COMMAND) in (0, COMMAND_WORD)
+        if write.address != registers[FREQUENCY].address or write.word != known.held:
+            return False
+        if memory.word(FREQUENCY) not in (*FREQUENCY_WORDS, known.held):
+            return False
+        if known.drive.inverter.is_running:
+            self.tell(f"{known.name}: FA01 is put right after a trial, and it runs")
+        return True
 
     def _run(self, known: Known) -> None:
         """Judge a command word that runs the motor: lease, owner, arming, and no stop since."""
@@ -160,8 +177,6 @@ class LineRules:
 
     def _setpoint(self, known: Known, word: int) -> None:
         """Judge a setpoint: each value is asked for by one command only."""
-        if word == known.held:
-            return
         order, text, now = known.asked.get(word), f"{known.name}: {word / HUNDREDTHS} Hz", self.world.now
         if order is None or order.delivered is None:
             self.tell(f"{text} was written, and nobody has asked for it")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 from unittest import mock
@@ -10,9 +10,8 @@ from unittest import mock
 import pytest
 
 from gateway.bus.serial_line import DescriptorLine
-from gateway.control.carrying import Carrying, Stage
+from gateway.bus.trial import Stage, Trial
 from gateway.control.command import Command, Status
-from gateway.control.composing import COMMAND
 from gateway.control.door import Door
 from gateway.control.drive_control import DriveControl
 from gateway.control.execution import Execution
@@ -72,14 +71,9 @@ def done(execution: Execution, _text: str) -> None:
     execution.finish(Status.DONE)
 
 
-_begins = Carrying._begins
-
-
-def whatever_runs(carrying: Carrying, facts: Mapping[str, int]) -> bool:
+def whatever_runs(tried: Trial) -> None:
     """Try the exchange on a motor that runs, or is commanded."""
-    is_begun = _begins(carrying, {**facts, COMMAND: 0})
-    carrying.stage = Stage.TRIAL if is_begun else carrying.stage
-    return is_begun
+    tried._before, tried._stage = dict(tried._after), Stage.TRYING
 
 
 def broken(*_: Any, **__: Any) -> None:
@@ -130,7 +124,7 @@ MUTANTS = {
     "all is called done": Mutant(Execution, "on_silence", done, "noise on the line", "is called done"),
     "a known id is new": Mutant(Results, "is_known", no, "broker fails", "times for one command"),
     "retained commands count": Mutant(commands, "read", fresh, "broker fails", "nobody has asked for it"),
-    "the exchange is tried on a running motor": Mutant(Carrying, "_begins", whatever_runs, "two fight", "was tried"),
+    "a running motor is tried": Mutant(Trial, "_looked", whatever_runs, "gateway killed", "was tried"),
     "a task dies": Mutant(Image, "sweep", broken, "flood", "ended by itself"),
 }
 
