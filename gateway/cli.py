@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from gateway import __version__, check, logs, site
+from gateway import __version__, check, check_rights, logs, site
 from gateway import demo as demonstration
 from gateway.app import App, CoreTaskEnded
 from gateway.commissioning import commands as commissioning
@@ -153,7 +153,10 @@ def check_file(file: ConfigFile) -> None:
         for topic in sparkplug_topics.overview(configured.config.sparkplug, configured):
             typer.echo(f"  {topic}")
     if configured.config.modbus_tcp is not None:
-        typer.echo(f"\nMODBUS-TCP on {configured.config.modbus_tcp.listen}")
+        typer.echo("")
+        for line in check_rights.report(configured):
+            typer.echo(line)
+        typer.echo("")
         typer.echo(mapping.as_markdown(mapping.register_map(configured)))
     check.refuse(configured, file)
     typer.echo(f"\n{file}: no errors")
