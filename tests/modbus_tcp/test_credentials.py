@@ -11,11 +11,16 @@ from typing import Any
 
 import pytest
 
+from gateway import site
+from gateway.app import App
+from gateway.bus.line import Line
+from gateway.clock import Clock
 from gateway.config import ModbusTlsSection
-from gateway.errors import BadConfig
+from gateway.errors import BadConfig, LineDown
 from gateway.metrics import TcpStats
 from gateway.modbus_tcp.credentials import LOOK_EVERY, Keyring, load
 from tests.modbus_tcp.certificates import SERVER_AUTH, Authority, Key, address, openssl, role, usage
+from tests.modbus_tcp.rig import until
 from tests.modbus_tcp.secured import MovableClock, Pki, client, refused, serving
 
 pytestmark = pytest.mark.e2e
@@ -145,3 +150,32 @@ def test_an_expired_certificate_of_the_gateway_is_loaded_and_said_to_be(
     ring = Keyring(section(pki, certificate=str(expired)), MovableClock(), TcpStats())
     assert ring.is_own_valid is False
     assert any("has expired" in message for message in caplog.messages)
+
+
+@pytest.mark.hazard("H32")
+async def test_sighup_reads_certificates_anew_though_the_configuration_is_the_same(
+    pki: Pki, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Nothing else is begun anew: no drive is disarmed for it."""
+    caplog.set_level(logging.INFO)
+    ca = pki.folder / "reloaded.pem"
+    shutil.copy(pki.authority.path, ca)
+    line = {"name": "a", "port": "/dev/null", "drive": [{"name": "d1", "number": 1, "model": "vf-nc3"}]}
+    tcp = {"listen": "off", "tls": pki.section(ca=str(ca))}
+    configured = site.build({"gateway": {"name": "g"}, "modbus_tcp": tcp, "line": [line]}, "test", pki.folder)
+    app = App(configured, opener=_nothing, load=lambda: configured)
+    async with asyncio.timeout(LIMIT):
+        running = asyncio.create_task(app.run())
+        await until(lambda: app.has_started)
+        ca.write_bytes(_long(pki).path.read_bytes())
+        app.reload()
+        await until(lambda: "not reloaded: nothing has changed" in caplog.text)
+        assert "the certificates of modbus_tcp.tls were read anew" in caplog.text
+        assert app.successor is None
+        app.stop()
+        await running
+
+
+async def _nothing(_line: site.Line, _clock: Clock) -> Line:
+    """Open nothing."""
+    raise LineDown("no such device")
