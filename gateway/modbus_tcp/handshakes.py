@@ -8,6 +8,7 @@ from collections import Counter
 from typing import Protocol
 
 from gateway.metrics import TcpStats
+from gateway.modbus_tcp.session import CallLater, Timer
 
 log = logging.getLogger("gateway.modbus_tcp")
 
@@ -18,6 +19,7 @@ LEFT = "left"
 PUSHED_OUT = "pushed_out"
 OTHER = "other"
 TOLD_AT_MOST = 256  # hosts and kinds of failure that are remembered as told
+PACE = 0.05  # seconds; a handshake takes 1 to 4 ms of a PC's processor
 TELL_AGAIN = 60.0  # seconds after which the same failure of the same host is told again
 KINDS = (  # a part of OpenSSL's message, the kind of failure for programs, and what the operator may do
     ("certificate has expired", "expired", "its certificate has expired: renew it, or set the clock of this machine"),
@@ -45,18 +47,30 @@ class Handshake(Protocol):
 
     host: str
 
+    def go_on(self) -> None:
+        """Do what was put off."""
+        ...
+
     def give_up(self, kind: str, reason: str) -> None:
         """End it."""
         ...
 
 
 class Handshakes:
-    """Those under way; none has a place yet. With too many, the oldest of the host that has the most gives way."""
+    """Those under way; none has a place yet. With too many, the oldest of the host that has the most gives way.
 
-    def __init__(self, limit: int, patience: float, stats: TcpStats) -> None:
+    `limit` of them are done as they come, and those beyond one each `PACE`: a handshake keeps the loop from the lines
+    for some milliseconds.
+    """
+
+    def __init__(self, limit: int, patience: float, stats: TcpStats, call_later: CallLater) -> None:
         self._limit = limit
         self._patience = patience  # seconds
         self._stats = stats
+        self._call_later = call_later
+        self._left, self._left_at = float(limit), float("-inf")  # how many may be done at once, and when that was so
+        self._waiting: dict[Handshake, None] = {}  # in their order
+        self._timer: Timer | None = None
         self._begun: dict[Handshake, float] = {}  # in the order in which they have begun
         self._told: dict[tuple[str, str], float] = {}
 
@@ -71,8 +85,30 @@ class Handshakes:
             oldest = next(one for one in self._begun if one.host == greediest)
             oldest.give_up(PUSHED_OUT, "it was slow, and others came")
 
+    def may_go_on(self, handshake: Handshake, now: float) -> bool:
+        """Say whether one may be done now; it is called by `go_on` later where not."""
+        self._left = min(self._limit, self._left + (now - self._left_at) / PACE)
+        self._left_at = now
+        if self._left >= 1 and not self._waiting:
+            self._left -= 1
+            return True
+        self._waiting[handshake] = None
+        if self._timer is None:
+            self._timer = self._call_later(PACE, self._next)
+        return False
+
+    def _next(self) -> None:
+        self._timer = None
+        if self._waiting:
+            first = next(iter(self._waiting))
+            del self._waiting[first]
+            self._left = max(0.0, self._left - 1)
+            self._timer = self._call_later(PACE, self._next)
+            first.go_on()
+
     def end(self, handshake: Handshake, kind: str, text: str, now: float) -> None:
         """Forget one, count how it ended, and say so."""
+        self._waiting.pop(handshake, None)
         if self._begun.pop(handshake, None) is None:
             return
         self._stats.handshakes[kind] += 1
@@ -101,6 +137,8 @@ class Handshakes:
         """End them all: the gateway ends."""
         for handshake in tuple(self._begun):
             handshake.give_up(OTHER, "the gateway ends")
+        if self._timer is not None:
+            self._timer.cancel()
 
 
 def explain(error: ssl.SSLError) -> tuple[str, str]:

@@ -10,7 +10,7 @@ from typing import cast
 from gateway.clock import Clock
 from gateway.config import OFF, ModbusTcpSection, ModbusTlsSection, address
 from gateway.metrics import TcpStats
-from gateway.modbus_tcp.connection import Connection
+from gateway.modbus_tcp.connection import Connection, call_later
 from gateway.modbus_tcp.credentials import Keyring
 from gateway.modbus_tcp.handshakes import Handshakes
 from gateway.modbus_tcp.hosts import host_of
@@ -95,7 +95,7 @@ class TlsListener(Listener):
         limit: int,
     ) -> None:
         self._keyring = Keyring(section, clock, stats)
-        self._handshakes = Handshakes(limit, section.handshake_timeout, stats)
+        self._handshakes = Handshakes(limit, section.handshake_timeout, stats, call_later)
 
         def client() -> TlsClient:
             return TlsClient(self._keyring, reception, clock, places, self._handshakes)

@@ -64,6 +64,7 @@ class TlsClient(asyncio.Protocol):
         self._tls = context.wrap_bio(self._incoming, self._outgoing, server_side=True)
         self._connection: Connection | None = None
         self._wire: _Wire
+        self._is_going = False  # its handshake has been begun
         self._has_ended = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -80,8 +81,19 @@ class TlsClient(asyncio.Protocol):
         if self._has_ended:
             return
         self._incoming.write(data)
-        if self._connection is None:
-            self._shake_hands()
+        if self._connection is not None:
+            self._hand_on(self._connection)
+        elif self._is_going or self._handshakes.may_go_on(self, self._clock.now()):
+            self.go_on()
+        else:
+            self._transport.pause_reading()
+
+    def go_on(self) -> None:
+        """Do the handshake as far as the client has come; what came behind it is a request."""
+        if not self._is_going and not self._transport.is_reading():
+            self._transport.resume_reading()
+        self._is_going = True
+        self._shake_hands()
         if self._connection is not None:
             self._hand_on(self._connection)
 

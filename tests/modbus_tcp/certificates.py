@@ -7,6 +7,7 @@ import subprocess
 import time
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from hashlib import sha256
 from itertools import count
 from pathlib import Path
 
@@ -78,7 +79,10 @@ def address(octets: bytes = b"\x7f\0\0\1") -> bytes:
     return extension("2.5.29.17", sequence(tlv(0x87, octets)))
 
 
-AUTHORITY = extension("2.5.29.19", sequence(b"\x01\x01\xff"), is_critical=True)
+AUTHORITY = (  # basic constraints, and a key usage of signing certificates and lists
+    extension("2.5.29.19", sequence(b"\x01\x01\xff"), is_critical=True),
+    extension("2.5.29.15", tlv(0x03, b"\x01\x06"), is_critical=True),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +91,11 @@ class Key:
 
     path: Path
     public: bytes
+
+    @property
+    def number(self) -> bytes:
+        """Return what identifies it."""
+        return sha256(self.public).digest()[:20]
 
     @classmethod
     def make(cls, path: Path) -> Key:
@@ -107,7 +116,8 @@ def signed(
     algorithm = sequence(oid(ECDSA_SHA256))
     serial = tlv(0x02, next(SERIALS).to_bytes(4, "big"))
     validity = sequence(moment(now + begins * DAY), moment(now + ends * DAY))
-    behind = [tlv(0xA3, sequence(*extensions))] if extensions else []
+    named = [extension("2.5.29.14", tlv(0x04, key.number)), extension("2.5.29.35", sequence(tlv(0x80, by.number)))]
+    behind = [tlv(0xA3, sequence(*extensions, *named))]
     version = tlv(0xA0, b"\x02\x01\x02")
     told = sequence(version, serial, algorithm, name(issuer), validity, name(subject), key.public, *behind)
     return sequence(told, algorithm, tlv(0x03, b"\0", by.sign(told)))
@@ -127,7 +137,7 @@ class Authority:
         self._folder = folder
         self.key = Key.make(folder / f"{name}.key")
         signer = parent or self
-        self.der = signed(name, self.key, signer.name, signer.key, AUTHORITY, **validity)
+        self.der = signed(name, self.key, signer.name, signer.key, *AUTHORITY, **validity)
         self.path = write_pem(folder / f"{name}.pem", self.der)
 
     def issue(

@@ -197,6 +197,10 @@ class Wire(asyncio.Transport):
         """Read again."""
         self.is_reading_paused = False
 
+    def is_reading(self) -> bool:
+        """Say whether it reads."""
+        return not self.is_reading_paused
+
     def close(self) -> None:
         """Close behind what is sent."""
         self.is_closed = True

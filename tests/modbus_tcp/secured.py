@@ -58,6 +58,7 @@ class Pki:
     def context(self, certificate: Path | None) -> ssl.SSLContext:
         """Return what a client has that shows a certificate, or none."""
         context = ssl.create_default_context(cafile=self.authority.path)
+        context.verify_flags |= ssl.VERIFY_X509_STRICT
         if certificate is not None:
             context.load_cert_chain(certificate, self.key.path)
         return context

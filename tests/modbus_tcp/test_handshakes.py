@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import logging
 import ssl
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import pytest
 
 from gateway.metrics import TcpStats
-from gateway.modbus_tcp.handshakes import DONE, KINDS, NO_ROLE, OTHER, PUSHED_OUT, STALLED, Handshakes, explain
+from gateway.modbus_tcp.handshakes import (
+    DONE,
+    KINDS,
+    NO_ROLE,
+    OTHER,
+    PACE,
+    PUSHED_OUT,
+    STALLED,
+    Handshakes,
+    explain,
+)
 
 
 @dataclass(eq=False)
@@ -19,6 +30,11 @@ class Hand:
     host: str
     hall: Handshakes
     ends: list[tuple[str, str]] = field(default_factory=list)
+    went_on: int = 0
+
+    def go_on(self) -> None:
+        """Count it."""
+        self.went_on += 1
 
     def give_up(self, kind: str, reason: str) -> None:
         """End, as a client's connection does."""
@@ -26,11 +42,61 @@ class Hand:
         self.hall.end(self, kind, reason, 0.0)
 
 
+@dataclass
+class Alarms:
+    """Timers that ring when a test says so."""
+
+    set: list[Callable[[], None]] = field(default_factory=list)
+
+    def __call__(self, seconds: float, call: Callable[[], None]) -> Alarms:
+        """Put a call off."""
+        assert seconds == PACE
+        self.set.append(call)
+        return self
+
+    def cancel(self) -> None:
+        """Let none ring."""
+        self.set.clear()
+
+    def ring(self) -> None:
+        """Let the one that is set ring."""
+        (call,) = self.set
+        self.set.clear()
+        call()
+
+
+def handshakes(stats: TcpStats, alarms: Alarms | None = None) -> Handshakes:
+    """Return a hall for three at a time, of five seconds each."""
+    return Handshakes(3, 5.0, stats, alarms or Alarms())
+
+
+@pytest.mark.hazard("H25")
+def test_a_flood_of_handshakes_is_done_one_by_one() -> None:
+    """Three as they come, then one each 50 ms in their order; who has left is passed over."""
+    alarms = Alarms()
+    hall = handshakes(TcpStats(), alarms)
+    hands = [Hand(f"10.0.0.{i}", hall) for i in range(6)]
+    for hand in hands[:3]:
+        assert hall.may_go_on(hand, 1.0)
+    for hand in hands[3:]:
+        assert not hall.may_go_on(hand, 1.0)
+    hall.end(hands[4], "left", "", 1.0)
+    alarms.ring()
+    assert [hand.went_on for hand in hands] == [0, 0, 0, 1, 0, 0]
+    alarms.ring()
+    assert [hand.went_on for hand in hands] == [0, 0, 0, 1, 0, 1]
+    alarms.ring()
+    assert alarms.set == []
+    assert not hall.may_go_on(hands[0], 1.04)
+    alarms.ring()
+    assert hall.may_go_on(hands[1], 9.0)
+
+
 @pytest.mark.hazard("H25")
 def test_with_too_many_the_oldest_of_the_greediest_host_gives_way() -> None:
     """A host that begins a hundred pushes out its own."""
     stats = TcpStats()
-    hall = Handshakes(3, 5.0, stats)
+    hall = handshakes(stats)
     quiet = Hand("10.0.0.1", hall)
     greedy = [Hand("10.0.0.2", hall) for _ in range(100)]
     for hand in (quiet, *greedy):
@@ -45,7 +111,7 @@ def test_with_too_many_the_oldest_of_the_greediest_host_gives_way() -> None:
 def test_a_handshake_that_takes_too_long_is_given_up() -> None:
     """Counted from its beginning; one that is done is not looked at again."""
     stats = TcpStats()
-    hall = Handshakes(3, 5.0, stats)
+    hall = handshakes(stats)
     first, second, third = (Hand("10.0.0.1", hall) for _ in range(3))
     for hand, now in ((first, 0.0), (second, 0.0), (third, 2.0)):
         hall.begin(hand, now)
@@ -65,7 +131,7 @@ def test_the_same_end_of_the_same_host_is_told_once_a_minute(caplog: pytest.LogC
     """A client that tries again every second fills no log; another host, or another reason, is told."""
     caplog.set_level(logging.WARNING)
     stats = TcpStats()
-    hall = Handshakes(3, 5.0, stats)
+    hall = handshakes(stats)
 
     def end(host: str, kind: str, now: float) -> None:
         hand = Hand(host, hall)
