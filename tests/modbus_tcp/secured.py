@@ -203,9 +203,14 @@ class ByHand:
 
 
 @contextlib.asynccontextmanager
-async def by_hand(port: int, context: ssl.SSLContext) -> AsyncIterator[ByHand]:
-    """Connect, and do the handshake."""
-    made = ByHand(context, await asyncio.open_connection("127.0.0.1", port))
+async def by_hand(port: int, context: ssl.SSLContext, *, is_small: bool = False) -> AsyncIterator[ByHand]:
+    """Connect, and do the handshake; a small client has room for little that it has not read."""
+    sock = socket.socket()
+    if is_small:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    sock.setblocking(False)
+    await asyncio.get_running_loop().sock_connect(sock, ("127.0.0.1", port))
+    made = ByHand(context, await asyncio.open_connection(sock=sock))
     try:
         await made.shake_hands()
         yield made

@@ -12,8 +12,11 @@ from gateway.control.command import Channel, Command, Reason, Result, Source, St
 from gateway.image import Image, LinkState
 from gateway.metrics import LineStats, Stats
 from gateway.modbus_tcp.connection import Connection
-from gateway.modbus_tcp.hosts import host_of
-from gateway.modbus_tcp.server import ModbusTcpServer
+from gateway.modbus_tcp.hosts import host_of, source_name
+from gateway.modbus_tcp.mirror_unit import _address
+from gateway.modbus_tcp.reception import Reception
+from gateway.modbus_tcp.rights import Grants
+from gateway.modbus_tcp.server import ModbusTcpServer, identify
 from tests.modbus_tcp.plant import ListeningDoor, Master, code_of, exchange, several, site_of
 from tests.modbus_tcp.rig import StandingClock
 
@@ -177,3 +180,35 @@ async def test_whatever_the_function_nobody_without_a_right_is_answered_otherwis
     for unit in (0, 1, 2, 99, 255):
         assert await master.ask(unit, bytes((function,)) + bytes(4)) == bytes((function | 0x80, 1))
     assert made.door.asked == []
+
+
+@pytest.mark.hazard("H32")
+@pytest.mark.parametrize("is_trusted", [True, False])
+async def test_a_role_writes_nothing_while_the_gateways_certificate_does_not_hold(is_trusted: bool) -> None:
+    """It reads on; a stop is a write."""
+    made = Guarded()
+    tls = {"certificate": "a", "key": "b", "ca": "c"}
+    right = {"role": "operator", "functions": ["read", "write"]}
+    grants = Grants(ModbusTcpSection.model_validate({"tls": tls, "right": [right]}))
+    own = made.server._reception
+    reception = Reception(own._units, identify, made.stats.tcp, own._wards, grants, made.door)
+    served = reception.secured("operator", "10.0.0.7", is_trusted=is_trusted)
+    places = made.server._places
+    master = Master(Connection(served.responder, made.clock, places, served.writers, served.source), "10.0.0.7")
+    assert code_of(await master.ask(255, bytes.fromhex("0300000001"))) == 0
+    number = master.send(1, several(0xFA00, STOP))
+    if is_trusted:
+        assert made.sent().source == Source(Channel.MODBUS_TCP, "operator@10.0.0.7")
+    assert code_of(await told(master, number)) == (0 if is_trusted else 1)
+    assert made.door.asked == []
+
+
+def test_the_mirror_shows_the_address_of_an_owner_with_a_role() -> None:
+    """Whatever the role is; addresses that are not IPv4 are shown as 0."""
+    for name, words in (
+        ("10.0.0.7", (0x0A00, 7)),
+        (source_name("operator", "10.0.0.7"), (0x0A00, 7)),
+        (source_name("me@home", "10.0.0.7"), (0x0A00, 7)),
+        (source_name("operator", "fd00::7"), (0, 0)),
+    ):
+        assert _address(Source(Channel.MODBUS_TCP, name)) == words

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import socket
 import ssl
@@ -37,6 +38,7 @@ from tests.modbus_tcp.certificates import (
 from tests.modbus_tcp.plant import Listening, exchange, several
 from tests.modbus_tcp.rig import read, request, until
 from tests.modbus_tcp.secured import Pki, Secured, by_hand, client, raw, refused, serving
+from tests.modbus_tcp.test_rtu_framing import frame
 
 pytestmark = pytest.mark.e2e
 
@@ -627,3 +629,63 @@ async def test_what_waits_for_a_slow_client_is_bounded_and_comes_in_order(pki: P
         told = await one.reader.readexactly(count * (9 + 128))
         numbers = [int.from_bytes(told[at : at + 2], "big") for at in range(0, len(told), 9 + 128)]
         assert numbers == list(range(count))
+
+
+@pytest.mark.hazard("H25")
+def test_every_way_in_on_both_loops(pki: Pki, run: Callable[[Scenario], None]) -> None:
+    """By TLS more clients at once than are let on at once; without it and by RTU frames with rights by address."""
+    context = pki.holder_of("viewer")
+    rights = [{"addresses": ["127.0.0.0/8"], "units": [255]}, {"role": "viewer", "units": [1]}]
+    count = 6
+
+    async def one(port: int) -> bytes:
+        async with client(port, context) as made:
+            return await made.ask(1, FREQUENCY)
+
+    async def scenario() -> None:
+        async with serving(pki, right=rights, rtu={"listen": "127.0.0.1:0"}, connections=count) as server:
+            server._listeners[1]._handshakes._left = 2.0  # type: ignore[attr-defined]
+            server._listeners[1]._handshakes._left_at = server.clock.now()  # type: ignore[attr-defined]
+            told = await asyncio.gather(*(one(server.tls_port) for _ in range(count)))
+            assert told == [ANSWERED] * count
+            assert server.ends == {"done": count}
+            await until(lambda: server.stats.tcp.connections == 0)
+            async with client(server.plain_port) as made:
+                assert await made.ask(1, FREQUENCY) == DENIED
+                assert (await made.ask(255, bytes.fromhex("0300000001")))[0] == 3
+            async with client(server.rtu_port) as made:
+                for unit, pdu in ((1, FREQUENCY), (255, FREQUENCY)):
+                    made.writer.write(frame(unit, pdu))
+                told = [await made.reader.readexactly(5) for _ in range(2)]
+                assert told == [frame(1, DENIED), frame(255, b"\x83\x02")]
+
+    run(scenario)
+
+
+@pytest.mark.hazard("H25")
+async def test_a_client_by_tls_that_never_reads_is_cut(pki: Pki) -> None:
+    """What waits for it is bounded, as without TLS."""
+    context = pki.holder_of("viewer")
+    async with (
+        asyncio.timeout(LIMIT),
+        serving(pki) as server,
+        by_hand(server.tls_port, context, is_small=True) as made,
+        asyncio.TaskGroup() as group,
+    ):
+        made.writer.transport.pause_reading()  # type: ignore[attr-defined]
+        burst = b"".join(read(i, 255, 0, 64) for i in range(1000))
+
+        async def ask_for_ever() -> None:
+            with contextlib.suppress(ConnectionError):
+                while True:
+                    made.tls.write(burst)
+                    made.flush()
+                    await made.writer.drain()
+
+        asking = group.create_task(ask_for_ever())
+        later = server.clock.now() + 5.0
+        await until(lambda: any("not read" in (one.overdue(later, 60.0) or "") for one in server._places.taken))
+        server.clock.moment += 5.0
+        server.sweep()
+        await until(lambda: server.stats.tcp.connections == 0)
+        asking.cancel()
