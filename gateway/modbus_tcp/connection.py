@@ -13,6 +13,7 @@ from gateway.clock import Clock
 from gateway.control.command import Channel, Source
 from gateway.modbus_tcp.hosts import host_of
 from gateway.modbus_tcp.places import Places
+from gateway.modbus_tcp.reception import Served
 from gateway.modbus_tcp.responder import GO_ON, READ_ON, Responder
 from gateway.modbus_tcp.session import Session, Timer, Writer
 
@@ -34,10 +35,12 @@ class Connection(asyncio.Protocol):
         places: Places,
         writers: Mapping[int, Writer] | None = None,
         source: Source | None = None,
+        serve: Callable[[str], Served] | None = None,
     ) -> None:
         self._responder = responder
         self._writers = writers or {}
         self._answer_again = responder.answer_again
+        self._serve = serve  # says by whom a client is served where that depends on its address
         self._now = clock.now
         self._places = places
         self._transport: asyncio.Transport
@@ -63,10 +66,16 @@ class Connection(asyncio.Protocol):
         if not self._places.take(self, host_of(peer)):
             self._transport.abort()
             return
+        if self._serve is not None:
+            self._attend(self._serve(host_of(peer)))
         self._transport.set_write_buffer_limits(high=WRITE_BUFFER)
         self._session = self._session_of(self._source or source_of(peer))
         self._owed = self._session.owed
         _keep_alive(self._transport.get_extra_info("socket"))
+
+    def _attend(self, served: Served) -> None:
+        self._responder, self._writers, self._source = served.responder, served.writers, served.source
+        self._answer_again = served.responder.answer_again
 
     def data_received(self, data: bytes) -> None:
         """Answer what is whole by now."""

@@ -6,6 +6,7 @@ import logging
 import ssl
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 from gateway.clock import Clock
@@ -57,6 +58,24 @@ def load(section: ModbusTlsSection) -> Credentials:
     if not own or not authorities:
         raise BadConfig(f"{TABLE}: no certificate in {section.ca if own else section.certificate}")
     return Credentials(context, own[0], authorities)
+
+
+def report(section: ModbusTlsSection, wall: float) -> str:
+    """Say how long the certificates hold at a moment (UTC seconds), or what is wrong with their files."""
+    try:
+        found = load(section)
+    except BadConfig as error:
+        return f"WARNING: {error}"
+    soonest = min(found.authorities, key=lambda one: one.not_after)
+    held = [_held(what, one, wall) for what, one in (("certificate", found.own), ("ca", soonest))]
+    return "; ".join(held)
+
+
+def _held(what: str, certificate: RoleCertificate, wall: float) -> str:
+    until = f"{datetime.fromtimestamp(certificate.not_after, UTC):%Y-%m-%d}"
+    if certificate.is_valid(wall):
+        return f"{what} holds until {until}"
+    return f"WARNING: {what} {'is not valid yet' if wall < certificate.not_before else f'has expired on {until}'}"
 
 
 def _trust(context: ssl.SSLContext, path: str, key: str) -> None:

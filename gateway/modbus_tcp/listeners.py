@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
-from typing import cast
 
 from gateway.clock import Clock
 from gateway.config import OFF, ModbusTcpSection, ModbusTlsSection, address
@@ -13,7 +12,6 @@ from gateway.metrics import TcpStats
 from gateway.modbus_tcp.connection import Connection, call_later
 from gateway.modbus_tcp.credentials import Keyring
 from gateway.modbus_tcp.handshakes import Handshakes
-from gateway.modbus_tcp.hosts import host_of
 from gateway.modbus_tcp.places import Places
 from gateway.modbus_tcp.reception import Reception
 from gateway.modbus_tcp.rtu_connection import RtuConnection
@@ -24,11 +22,11 @@ log = logging.getLogger("gateway.modbus_tcp")
 
 BACKLOG = 128
 
-Connect = Callable[[type[Connection], str], Connection]
-"""Makes a connection of one kind for a host."""
+Connect = Callable[[type[Connection]], Connection]
+"""Makes a connection of one kind."""
 
 
-class Listener:
+class TcpListener:
     """One port. `start` raises GatewayError with the key to change where it cannot listen."""
 
     title = "MODBUS-TCP"
@@ -74,13 +72,13 @@ class Listener:
         self._server = None
 
 
-class RtuListener(Listener):
+class RtuListener(TcpListener):
     """The port for MODBUS-RTU over TCP."""
 
     title = "MODBUS-RTU over TCP"
 
 
-class TlsListener(Listener):
+class TlsListener(TcpListener):
     """The port for TLS, with its certificates and the handshakes under way."""
 
     title = "MODBUS/TCP Security"
@@ -117,39 +115,20 @@ class TlsListener(Listener):
         self._handshakes.give_up_all()
 
 
-class Doorstep(asyncio.Protocol):
-    """Sees from where a client comes, and hands it over to a connection with the rights of that address."""
-
-    def __init__(self, kind: type[Connection], connect: Connect) -> None:
-        self._kind = kind
-        self._connect = connect
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Hand the client over before anything is read."""
-        connection = self._connect(self._kind, host_of(transport.get_extra_info("peername")))
-        cast("asyncio.Transport", transport).set_protocol(connection)
-        connection.connection_made(transport)
-
-
 def listeners(
     section: ModbusTcpSection,
-    reception: Reception,
     connect: Connect,
+    reception: Reception,
     clock: Clock,
     places: Places,
     stats: TcpStats,
-) -> tuple[Listener, ...]:
+) -> tuple[TcpListener, ...]:
     """Return the listeners of a configuration, the plain one first; `connect` serves clients without TLS."""
-
-    def factory(kind: type[Connection]) -> Callable[[], asyncio.Protocol]:
-        """Ask for the address only where it makes a difference."""
-        return (lambda: connect(kind, "")) if reception.is_open else (lambda: Doorstep(kind, connect))
-
-    found: list[Listener] = []
+    found: list[TcpListener] = []
     if section.listen != OFF:
-        found.append(Listener("modbus_tcp.listen", section.listen, factory(Connection)))
+        found.append(TcpListener("modbus_tcp.listen", section.listen, lambda: connect(Connection)))
     if section.tls is not None:
         found.append(TlsListener(section.tls, reception, clock, places, stats, section.connections))
     if section.rtu is not None:
-        found.append(RtuListener("modbus_tcp.rtu.listen", section.rtu.listen, factory(RtuConnection)))
+        found.append(RtuListener("modbus_tcp.rtu.listen", section.rtu.listen, lambda: connect(RtuConnection)))
     return tuple(found)

@@ -43,7 +43,7 @@ class Reception:
         self._grants = grants
         self._door = door
         self.free = Responder(units, identify, stats)
-        self._free_writers: Mapping[int, Writer] = {unit: ward.writer for unit, ward in wards.items()}
+        self.free_writers: Mapping[int, Writer] = {unit: ward.writer for unit, ward in wards.items()}
         self._of_rights: dict[Rights, tuple[Responder, Mapping[int, Writer]]] = {}
 
     @property
@@ -56,7 +56,7 @@ class Reception:
         rights = self._grants.of_plain(host)
         source = Source(Channel.MODBUS_TCP, host)
         if rights is None:
-            return Served(self.free, self._free_writers, source)
+            return Served(self.free, self.free_writers, source)
         return Served(*self._serving(rights), source)
 
     def secured(self, role: str | None, host: str, *, is_trusted: bool = True) -> Served:

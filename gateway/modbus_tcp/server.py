@@ -19,7 +19,7 @@ from gateway.modbus_tcp.codes import ExceptionCode
 from gateway.modbus_tcp.connection import Connection
 from gateway.modbus_tcp.gateway_unit import UNIT, GatewayUnit
 from gateway.modbus_tcp.guard import Ward, drive_ward, mirror_ward
-from gateway.modbus_tcp.listeners import Listener, listeners
+from gateway.modbus_tcp.listeners import TcpListener, listeners
 from gateway.modbus_tcp.mirror_unit import MirrorUnit
 from gateway.modbus_tcp.places import Places, limits_of
 from gateway.modbus_tcp.read_back import CommandedUnit
@@ -62,7 +62,7 @@ class ModbusTcpServer:
         if door is not None and door.controls:
             wards = _open(door, image, gateway_unit, units)
         self._reception = Reception(units, identify, stats.tcp, wards, Grants(section), door)
-        self._listeners = listeners(section, self._reception, self._connection, clock, self._places, stats.tcp)
+        self._listeners = listeners(section, self._connection, self._reception, clock, self._places, stats.tcp)
         self._next_sweep: asyncio.TimerHandle | None = None
 
     async def start(self) -> None:
@@ -80,14 +80,15 @@ class ModbusTcpServer:
         """Return the port that is listened on; that of the first listener where there are several."""
         return self._listeners[0].port
 
-    def port_of(self, kind: type[Listener]) -> int:
+    def port_of(self, kind: type[TcpListener]) -> int:
         """Return the port of a kind of listener."""
         return next(listener.port for listener in self._listeners if isinstance(listener, kind))
 
-    def _connection(self, kind: type[Connection] = Connection, host: str = "") -> Connection:
-        """Return what serves a client without TLS, by the rights of its address."""
-        served = self._reception.plain(host)
-        return kind(served.responder, self._clock, self._places, served.writers)
+    def _connection(self, kind: type[Connection] = Connection) -> Connection:
+        """Return what serves a client without TLS, by the rights of its address where addresses differ in them."""
+        reception = self._reception
+        serve = None if reception.is_open else reception.plain
+        return kind(reception.free, self._clock, self._places, reception.free_writers, serve=serve)
 
     def renew(self) -> None:
         """Read certificates anew where their files have changed."""

@@ -65,6 +65,7 @@ class TlsClient(asyncio.Protocol):
         self._connection: Connection | None = None
         self._wire: _Wire
         self._is_going = False  # its handshake has been begun
+        self._is_paused = False  # nothing is read until that is so
         self._has_ended = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -86,13 +87,15 @@ class TlsClient(asyncio.Protocol):
         elif self._is_going or self._handshakes.may_go_on(self, self._clock.now()):
             self.go_on()
         else:
+            self._is_paused = True
             self._transport.pause_reading()
 
     def go_on(self) -> None:
         """Do the handshake as far as the client has come; what came behind it is a request."""
-        if not self._is_going and not self._transport.is_reading():
-            self._transport.resume_reading()
         self._is_going = True
+        if self._is_paused:
+            self._is_paused = False
+            self._transport.resume_reading()
         self._shake_hands()
         if self._connection is not None:
             self._hand_on(self._connection)

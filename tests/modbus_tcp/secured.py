@@ -17,7 +17,7 @@ from gateway.config import ModbusTcpSection
 from gateway.control.door import Door
 from gateway.image import Image
 from gateway.metrics import LineStats, Stats
-from gateway.modbus_tcp.listeners import Listener, RtuListener, TlsListener
+from gateway.modbus_tcp.listeners import RtuListener, TcpListener, TlsListener
 from gateway.modbus_tcp.server import IDENTITY, ModbusTcpServer
 from tests.modbus_tcp.certificates import CLIENT_AUTH, SERVER_AUTH, Authority, Key, address, role, usage
 from tests.modbus_tcp.rig import StandingClock, fresh_image, request
@@ -99,7 +99,7 @@ class Secured(ModbusTcpServer):
     @property
     def plain_port(self) -> int:
         """Return the port without TLS."""
-        return self.port_of(Listener)
+        return self.port_of(TcpListener)
 
     @property
     def ends(self) -> dict[str, int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import re
 import shutil
 import ssl
 from pathlib import Path
@@ -18,7 +19,7 @@ from gateway.clock import Clock
 from gateway.config import ModbusTlsSection
 from gateway.errors import BadConfig, LineDown
 from gateway.metrics import TcpStats
-from gateway.modbus_tcp.credentials import LOOK_EVERY, Keyring, load
+from gateway.modbus_tcp.credentials import LOOK_EVERY, Keyring, load, report
 from tests.modbus_tcp.certificates import SERVER_AUTH, Authority, Key, address, openssl, role, usage
 from tests.modbus_tcp.rig import until
 from tests.modbus_tcp.secured import MovableClock, Pki, client, refused, serving
@@ -150,6 +151,18 @@ def test_an_expired_certificate_of_the_gateway_is_loaded_and_said_to_be(
     ring = Keyring(section(pki, certificate=str(expired)), MovableClock(), TcpStats())
     assert ring.is_own_valid is False
     assert any("has expired" in message for message in caplog.messages)
+
+
+@pytest.mark.hazard("H32")
+def test_check_says_how_long_certificates_hold_and_what_is_wrong_with_them(pki: Pki) -> None:
+    """Before anything runs; a file that is not there may be on another machine, and is no error here."""
+    now = MovableClock().wall()
+    long = section(pki, ca=str(_long(pki).path))
+    assert re.fullmatch(r"certificate holds until 20\d\d-\d\d-\d\d; ca holds until 20\d\d-.*", report(long, now))
+    assert report(long, now + 91 * DAY).startswith("WARNING: certificate has expired on 20")
+    early = report(long, now - 9 * DAY)
+    assert early == "WARNING: certificate is not valid yet; WARNING: ca is not valid yet"
+    assert report(section(pki, ca="/nowhere.pem"), now).startswith("WARNING: modbus_tcp.tls.ca: /nowhere.pem: ")
 
 
 @pytest.mark.hazard("H32")

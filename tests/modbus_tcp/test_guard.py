@@ -12,7 +12,7 @@ from gateway.control.command import Channel, Command, Reason, Result, Source, St
 from gateway.image import Image, LinkState
 from gateway.metrics import LineStats, Stats
 from gateway.modbus_tcp.connection import Connection
-from gateway.modbus_tcp.hosts import host_of, source_name
+from gateway.modbus_tcp.hosts import source_name
 from gateway.modbus_tcp.mirror_unit import _address
 from gateway.modbus_tcp.reception import Reception
 from gateway.modbus_tcp.rights import Grants
@@ -45,7 +45,7 @@ class Guarded:
 
     def connect(self, peer: str = "10.0.0.7") -> Master:
         """Open a connection."""
-        return Master(self.server._connection(Connection, host_of((peer,))), peer)
+        return Master(self.server._connection(), peer)
 
     def sent(self) -> Command:
         """Return the one command that has reached the door, and do it."""
