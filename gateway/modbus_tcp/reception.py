@@ -43,7 +43,7 @@ class Reception:
         self._grants = grants
         self._door = door
         self.free = Responder(units, identify, stats)
-        self.free_writers: Mapping[int, Writer] = {unit: ward.writer for unit, ward in wards.items()}
+        self.free_writers: dict[int, Writer] = {unit: ward.writer for unit, ward in wards.items()}
         self._of_rights: dict[Rights, tuple[Responder, Mapping[int, Writer]]] = {}
 
     @property
