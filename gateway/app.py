@@ -148,6 +148,8 @@ class App:
             self._loading = asyncio.create_task(self._take_over(self._load))
 
     async def _take_over(self, load: Callable[[], Site]) -> None:
+        if self.modbus_tcp is not None:
+            self.modbus_tcp.renew()  # certificates may have changed though the configuration has not
         try:
             successor = await asyncio.to_thread(load)
         except GatewayError as error:

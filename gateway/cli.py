@@ -12,15 +12,16 @@ from typing import Annotated
 
 import typer
 
-from gateway import __version__, check, logs, site
+from gateway import __version__, check, check_rights, logs, site
 from gateway import demo as demonstration
 from gateway.app import App, CoreTaskEnded
+from gateway.clock import SystemClock
 from gateway.commissioning import commands as commissioning
 from gateway.config import Config
 from gateway.drives import catalogue
 from gateway.errors import BadConfig, GatewayError, Refused
 from gateway.image import Image
-from gateway.modbus_tcp import mapping, tags
+from gateway.modbus_tcp import credentials, mapping, tags
 from gateway.mqtt import topics
 from gateway.mqtt.discovery import Discovery
 from gateway.sim import runner, settings
@@ -153,7 +154,12 @@ def check_file(file: ConfigFile) -> None:
         for topic in sparkplug_topics.overview(configured.config.sparkplug, configured):
             typer.echo(f"  {topic}")
     if configured.config.modbus_tcp is not None:
-        typer.echo(f"\nMODBUS-TCP on {configured.config.modbus_tcp.listen}")
+        typer.echo("")
+        for line in check_rights.report(configured):
+            typer.echo(line)
+        if (tls := configured.config.modbus_tcp.tls) is not None:
+            typer.echo(f"  {credentials.report(tls, SystemClock().wall())}")
+        typer.echo("")
         typer.echo(mapping.as_markdown(mapping.register_map(configured)))
     check.refuse(configured, file)
     typer.echo(f"\n{file}: no errors")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import ipaddress
 import os
 import re
 import tomllib
@@ -36,6 +37,8 @@ SERVER_SCHEMES = ("socket://", "rfc2217://")
 ROUNDING = 1e-6  # what multiplying a duration may be off by
 RTS_KEYS = ("rts_on_send", "rts_delay_before", "rts_delay_after")  # of a line, the delays last
 SECONDS = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0}
+OFF = "off"
+FUNCTIONS = ("read", "write", 3, 4, 6, 16, 23, 43)  # what a right over MODBUS-TCP may name
 
 def seconds(value: object) -> float:
     """Read a duration such as "100ms", "2s", "1.5min" or "1h"; ValueError says the form."""
@@ -55,12 +58,57 @@ def _checked_address(value: str) -> str:
     address(value)
     return value
 
+def _checked_or_off(value: str) -> str:
+    return value if value == OFF else _checked_address(value)
+
+def _network(value: str) -> str:
+    try:
+        network = ipaddress.ip_network(value, strict=False)
+    except ValueError:
+        raise ValueError('an address or a network is wanted: "10.0.0.7", "10.0.0.0/8", "fd00::/8"') from None
+    if isinstance(network, ipaddress.IPv6Network) and network.network_address.ipv4_mapped and network.prefixlen >= 96:
+        wanted = f"{network.network_address.ipv4_mapped}/{network.prefixlen - 96}"
+        raise ValueError(f'clients by IPv4 are known by their IPv4 address: "{wanted}"')
+    if str(network.network_address) != str(ipaddress.ip_address(value.partition("/")[0])):
+        raise ValueError(f'bits beyond the network are set: "{network}" is meant?')
+    return value
+
+def span(value: object) -> tuple[int, int]:
+    """Read a number, or [first, last]; ValueError says the form."""
+    ends: list[Any] = value if isinstance(value, list) else [value, value]
+    if len(ends) != 2 or any(type(end) is not int for end in ends) or ends[0] > ends[1]:
+        raise ValueError("a number or [first, last] is wanted: 0xFD00, [0xFD00, 0xFD1F]")
+    return ends[0], ends[1]
+
+def _within(most: int) -> AfterValidator:
+    def check(value: tuple[int, int]) -> tuple[int, int]:
+        if value[0] < 0 or value[1] > most:
+            raise ValueError(f"0 to {most} are possible")
+        return value
+
+    return AfterValidator(check)
+
+def _function(value: object) -> int | str:
+    if not isinstance(value, int | str) or isinstance(value, bool) or value not in FUNCTIONS:
+        known = ", ".join(f'"{one}"' if isinstance(one, str) else f"{one}" for one in FUNCTIONS)
+        raise ValueError(f"a function is wanted: {known}")
+    return value
+
+def _span_schema(most: int) -> WithJsonSchema:
+    number = {"type": "integer", "minimum": 0, "maximum": most}
+    return WithJsonSchema({"anyOf": [number, {"type": "array", "items": number, "minItems": 2, "maxItems": 2}]})
+
 Duration = Annotated[
     float,
     BeforeValidator(seconds),
     WithJsonSchema({"type": "string", "pattern": DURATION.pattern, "examples": ["100ms", "2s"]}),
 ]
 Listen = Annotated[str, AfterValidator(_checked_address)]
+ListenOrOff = Annotated[str, AfterValidator(_checked_or_off)]
+Network = Annotated[str, AfterValidator(_network)]
+Units = Annotated[tuple[int, int], BeforeValidator(span), _within(0xFF), _span_schema(0xFF)]
+Registers = Annotated[tuple[int, int], BeforeValidator(span), _within(0xFFFF), _span_schema(0xFFFF)]
+Function = Annotated[int | str, BeforeValidator(_function), WithJsonSchema({"enum": list(FUNCTIONS)})]
 TopicLevel = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 TopicPath = Annotated[
     str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*(/[A-Za-z0-9][A-Za-z0-9_.-]*)*$")
@@ -326,14 +374,66 @@ class MapSection(Section):
         """Return the scale exactly as it is written."""
         return Decimal(str(self.scale))
 
+class ReservedSection(Section):
+    """Places of the MODBUS-TCP server that are kept for some clients."""
+
+    addresses: list[Network] = Field(min_length=1, description="whose: addresses or networks")
+    places: int = Field(ge=1, le=1000, description="how many of `connections`")
+
+class ModbusTlsSection(Section):
+    """MODBUS/TCP Security: clients show a certificate, which says their role."""
+
+    listen: Listen = "127.0.0.1:802"
+    certificate: str = Field(min_length=1, description="the gateway's certificate (PEM), its intermediates behind it")
+    key: str = Field(min_length=1, description="its private key (PEM), without a passphrase")
+    ca: str = Field(min_length=1, description="file of the authorities that sign clients' certificates (PEM)")
+    crl: str | None = Field(None, min_length=1, description="file of revocation lists (PEM), one of each authority")
+    handshake_timeout: Duration = Field(seconds("5s"), ge=0.1, le=60)
+    warn_days: int = Field(30, ge=1, le=365, description="it is warned so long before a certificate expires")
+
+class ModbusRtuSection(Section):
+    """MODBUS-RTU frames over TCP, for masters that know nothing else."""
+
+    listen: Listen = "127.0.0.1:5021"
+
+class TcpRightSection(Section):
+    """What some clients of the MODBUS-TCP server may do. It takes away only: `control` and `sources` hold besides."""
+
+    role: str | None = Field(
+        None, min_length=1, max_length=64, description="of clients by TLS, * and ? stand for any; without: all others"
+    )
+    addresses: list[Network] | None = Field(None, min_length=1, description="only clients from there; all by default")
+    units: list[Units] | None = Field(None, min_length=1, description="unit ids or [first, last]; all by default")
+    functions: list[Function] = Field(["read"], min_length=1, description='"read", "write", or function codes')
+    registers: list[Registers] | None = Field(
+        None, min_length=1, description="numbers or [first, last]; all by default"
+    )
+
 class ModbusTcpSection(Section):
     """The MODBUS-TCP server."""
 
-    listen: Listen = "127.0.0.1:5020"
+    listen: ListenOrOff = Field("127.0.0.1:5020", description='without TLS; "off": not at all')
     connections: int = Field(32, ge=1, le=1000)
+    per_address: int | None = Field(None, ge=1, le=1000, description="connections of one client; no limit by default")
+    reserved: list[ReservedSection] = Field([], description="places that are kept for some clients")
+    allow: list[Network] | None = Field(None, min_length=1, description="who may connect at all; all by default")
     idle_timeout: Duration = Field(seconds("60s"), ge=1)
+    tls: ModbusTlsSection | None = None
+    rtu: ModbusRtuSection | None = None
+    right: list[TcpRightSection] = Field([], description="what clients may do; see docs/modbus-tcp.md")
     map_unit: int = Field(247, ge=1, le=255, description="unit id of the user-defined map; no drive's")
     map: list[MapSection] = Field([], description="the user-defined map: values at addresses of your own")
+
+    @model_validator(mode="after")
+    def _served(self) -> ModbusTcpSection:
+        if self.listen == OFF and self.tls is None and self.rtu is None:
+            raise ValueError('listen = "off": nobody is served; give [modbus_tcp.tls] or [modbus_tcp.rtu]')
+        kept = sum(reserved.places for reserved in self.reserved)
+        if kept > self.connections:
+            raise ValueError(f"reserved: {kept} places are kept, and connections are {self.connections}")
+        if self.tls is None and any(right.role is not None for right in self.right):
+            raise ValueError("right: a role is told by certificates only: give [modbus_tcp.tls]")
+        return self
 
     def unit_of(self, entry: MapSection) -> int:
         """Return the unit id under which an entry is read."""

@@ -172,11 +172,19 @@ class MqttStats:
 
 @dataclass(slots=True)
 class TcpStats:
-    """The MODBUS-TCP server."""
+    """The MODBUS-TCP server.
+
+    `not_allowed` counts clients that `allow` does not name, `denied` requests that rights refused, `handshakes` those
+    of TLS by how they ended; `certificates` are UTC seconds at which a certificate expires, by what it is.
+    """
 
     connections: int = 0
     accepted: int = 0
     turned_away: int = 0
+    not_allowed: int = 0
+    denied: int = 0
+    handshakes: Counter[str] = field(default_factory=Counter)
+    certificates: dict[str, float] = field(default_factory=dict)
     requests: Counter[int] = field(default_factory=Counter)
     exceptions: Counter[int] = field(default_factory=Counter)
 

@@ -76,6 +76,7 @@ def test_the_example_of_everything_names_every_key() -> None:
         config.ModbusTcpSection, config.WebSection, config.LineSection, config.DriveSection, config.PollSection,
         config.StoreSection, config.StoredWritesSection, config.FrequencySection, config.RightSection,
         config.TraceSection, config.FilterSection, config.MapSection, config.HomeAssistantSection,
+        config.ModbusTlsSection, config.ModbusRtuSection, config.ReservedSection, config.TcpRightSection,
     ):
         for key in section.model_fields:
             assert any(form in shown for form in (f"{key} =", f"[{key}]", f".{key}]", f"[[{key}]]")), key
@@ -158,6 +159,19 @@ DRIVE = ("line", 0, "drive", 0)
         (("mqtt", "tls"), {"ca": "x"}, "not mqtts://"),
         (("mqtt", "base"), "a/#", "mqtt.base"),
         (("modbus_tcp", "listen"), "5020", "127.0.0.1:5020"),
+        (("modbus_tcp", "listen"), "off", "nobody is served"),
+        (("modbus_tcp", "allow"), ["10.0.0.1/8"], '"10.0.0.0/8" is meant?'),
+        (("modbus_tcp", "allow"), ["::ffff:10.0.0.0/104"], 'by their IPv4 address: "10.0.0.0/8"'),
+        (("modbus_tcp", "allow"), ["plc-1"], "an address or a network is wanted"),
+        (("modbus_tcp", "allow"), [], "at least 1 item"),
+        (("modbus_tcp", "reserved"), [{"addresses": ["::1"], "places": 33}], "33 places are kept"),
+        (("modbus_tcp", "tls"), {"ca": "x"}, "modbus_tcp.tls.certificate: is missing"),
+        (("modbus_tcp", "right"), [{"role": "viewer"}], "a role is told by certificates only"),
+        (("modbus_tcp", "right"), [{"units": [256]}], "modbus_tcp.right[0].units[0]: 0 to 255 are possible"),
+        (("modbus_tcp", "right"), [{"registers": [[2, 1]]}], "a number or [first, last] is wanted"),
+        (("modbus_tcp", "right"), [{"registers": ["FA00"]}], "a number or [first, last] is wanted"),
+        (("modbus_tcp", "right"), [{"functions": ["reed"]}], 'a function is wanted: "read", "write", 3, 4'),
+        (("modbus_tcp", "right"), [{"functions": [5]}], "a function is wanted"),
         (("line",), [], "line"),
         (("gateway", "catalogue"), ["nowhere.toml"], "nowhere.toml: cannot be read"),
     ],

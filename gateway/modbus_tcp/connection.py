@@ -1,10 +1,9 @@
-"""One MODBUS-TCP client and the limits it lives under: turns, buffers, places and time-outs."""
+"""One MODBUS-TCP client and the limits it lives under: turns, buffers and time-outs."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import ipaddress
 import logging
 import socket
 from collections.abc import Callable, Mapping
@@ -12,7 +11,9 @@ from typing import cast
 
 from gateway.clock import Clock
 from gateway.control.command import Channel, Source
-from gateway.metrics import TcpStats
+from gateway.modbus_tcp.hosts import host_of
+from gateway.modbus_tcp.places import Places
+from gateway.modbus_tcp.reception import Served
 from gateway.modbus_tcp.responder import GO_ON, READ_ON, Responder
 from gateway.modbus_tcp.session import Session, Timer, Writer
 
@@ -24,54 +25,27 @@ DRAIN_WITHIN = 4.0  # seconds; a client that does not read is cut by the sweep a
 KEEP_ALIVE = (("TCP_KEEPIDLE", 15), ("TCP_KEEPINTVL", 5), ("TCP_KEEPCNT", 3))  # a dead peer is gone after 30 s
 
 
-class Places:
-    """The connections that are served. When all places are taken the next client is turned away at once."""
-
-    def __init__(self, limit: int, stats: TcpStats) -> None:
-        self.taken: set[Connection] = set()
-        self.all_free = asyncio.Event()
-        self.all_free.set()
-        self._limit = limit
-        self._stats = stats
-        self._has_told = False  # that all places are taken
-
-    def take(self, connection: Connection) -> bool:
-        """Give the connection a place; False when none is left."""
-        if len(self.taken) >= self._limit:
-            self._stats.turned_away += 1
-            if not self._has_told:
-                log.warning("all %d connections are taken: further clients are turned away", self._limit)
-            self._has_told = True
-            return False
-        self.taken.add(connection)
-        self.all_free.clear()
-        self._stats.accepted += 1
-        self._stats.connections = len(self.taken)
-        return True
-
-    def give_back(self, connection: Connection) -> None:
-        """Take a connection off, if it had a place."""
-        if connection in self.taken:
-            self.taken.remove(connection)
-            self._stats.connections = len(self.taken)
-            self._has_told = False
-        if not self.taken:
-            self.all_free.set()
-
-
 class Connection(asyncio.Protocol):
     """One client. Its requests are answered in turns, so that it cannot keep the loop from the lines."""
 
     def __init__(
-        self, responder: Responder, clock: Clock, places: Places, writers: Mapping[int, Writer] | None = None
+        self,
+        responder: Responder,
+        clock: Clock,
+        places: Places,
+        writers: Mapping[int, Writer] | None = None,
+        source: Source | None = None,
+        serve: Callable[[str], Served] | None = None,
     ) -> None:
         self._responder = responder
         self._writers = writers or {}
         self._answer_again = responder.answer_again
+        self._serve = serve  # says by whom a client is served where that depends on its address
         self._now = clock.now
         self._places = places
         self._transport: asyncio.Transport
-        self._session = self._session_of(Source(Channel.MODBUS_TCP))
+        self._source = source  # who commands; by its address where it is not known yet
+        self._session = self._session_of(source or Source(Channel.MODBUS_TCP))
         self._owed = self._session.owed
         self._data = b""  # received; answered up to _at
         self._at = 0
@@ -88,13 +62,20 @@ class Connection(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Serve the client if there is a place for it."""
         self._transport = cast("asyncio.Transport", transport)
-        if not self._places.take(self):
+        peer = self._transport.get_extra_info("peername")
+        if not self._places.take(self, host_of(peer)):
             self._transport.abort()
             return
+        if self._serve is not None:
+            self._attend(self._serve(host_of(peer)))
         self._transport.set_write_buffer_limits(high=WRITE_BUFFER)
-        self._session = self._session_of(source_of(self._transport.get_extra_info("peername")))
+        self._session = self._session_of(self._source or source_of(peer))
         self._owed = self._session.owed
         _keep_alive(self._transport.get_extra_info("socket"))
+
+    def _attend(self, served: Served) -> None:
+        self._responder, self._writers, self._source = served.responder, served.writers, served.source
+        self._answer_again = served.responder.answer_again
 
     def data_received(self, data: bytes) -> None:
         """Answer what is whole by now."""
@@ -232,11 +213,7 @@ def call_later(seconds: float, call: Callable[[], None]) -> Timer:
 
 def source_of(peer: tuple[str, ...] | None) -> Source:
     """Name a controller by its address: all connections of one machine are one source, whatever they came by."""
-    host = str(peer[0]).partition("%")[0] if peer else ""
-    with contextlib.suppress(ValueError):
-        address = ipaddress.ip_address(host)
-        host = str(getattr(address, "ipv4_mapped", None) or address)
-    return Source(Channel.MODBUS_TCP, host)
+    return Source(Channel.MODBUS_TCP, host_of(peer))
 
 
 def _keep_alive(connection: socket.socket | None) -> None:

@@ -11,6 +11,7 @@ from gateway.control.door import Door
 from gateway.image import Image, LinkState, Missing
 from gateway.modbus_tcp.codes import CODE_FOR, ExceptionCode, Wrong, exception_of
 from gateway.modbus_tcp.gateway_unit import NO_VALUE, REGISTERS_PER_DRIVE, VALUES, VALUES_AT, GatewayUnit
+from gateway.modbus_tcp.hosts import host_of_source
 from gateway.modbus_tcp.line_stops import LineStops, Tell
 from gateway.modbus_tcp.mirror_commands import MirrorCommands
 from gateway.modbus_tcp.mirror_map import (
@@ -154,6 +155,6 @@ def _reads_result(request: WriteRequest, index: int) -> bool:
 def _address(owner: Source) -> tuple[int, int]:
     """Return an IPv4 address as two words; zeros for all others."""
     try:
-        return divmod(int(ipaddress.IPv4Address(owner.name)), 0x10000)
+        return divmod(int(ipaddress.IPv4Address(host_of_source(owner.name))), 0x10000)
     except ValueError:
         return 0, 0

@@ -1,9 +1,8 @@
-"""Listens for MODBUS-TCP clients, cuts those whose time is over, and identifies drives and gateway by pymodbus."""
+"""Serves MODBUS-TCP clients, cuts those whose time is over, and identifies drives and gateway by pymodbus."""
 
 from __future__ import annotations
 
 import asyncio
-import logging
 from collections.abc import Mapping
 
 from pymodbus.constants import DeviceInformation
@@ -11,26 +10,26 @@ from pymodbus.pdu.mei_message import ReadDeviceInformationRequest, ReadDeviceInf
 
 from gateway import __version__
 from gateway.clock import Clock
-from gateway.config import ModbusTcpSection, address
+from gateway.config import ModbusTcpSection
 from gateway.control.door import Door
+from gateway.errors import GatewayError
 from gateway.image import Image
 from gateway.metrics import Stats
 from gateway.modbus_tcp.codes import ExceptionCode
-from gateway.modbus_tcp.connection import Connection, Places
+from gateway.modbus_tcp.connection import Connection
 from gateway.modbus_tcp.gateway_unit import UNIT, GatewayUnit
+from gateway.modbus_tcp.guard import Ward, drive_ward, mirror_ward
+from gateway.modbus_tcp.listeners import TcpListener, listeners
 from gateway.modbus_tcp.mirror_unit import MirrorUnit
+from gateway.modbus_tcp.places import Places, limits_of
 from gateway.modbus_tcp.read_back import CommandedUnit
-from gateway.modbus_tcp.responder import Responder, Unit
-from gateway.modbus_tcp.session import Writer
+from gateway.modbus_tcp.reception import Reception
+from gateway.modbus_tcp.responder import Unit
+from gateway.modbus_tcp.rights import Grants
 from gateway.modbus_tcp.user_map import user_maps
 from gateway.modbus_tcp.writing import DriveWriter
-from gateway.ports import explain_bind_error
 
-log = logging.getLogger("gateway.modbus_tcp")
-
-KEY = "modbus_tcp.listen"
 SWEEP_EVERY = 0.5  # seconds between two looks for connections whose time is over
-BACKLOG = 128
 REQUEST_SIZE = 4  # bytes: function, MEI type, read code, object
 OBJECTS = {0: "vendor", 1: "device", 2: "version"}  # the basic ones of MODBUS Application Protocol V1.1b3, 6.21
 LONGEST_OBJECT = 64  # bytes; three of them fit an answer
@@ -39,7 +38,10 @@ IDENTITY = {"vendor": "tosvert-gateway", "device": "tosvert-gateway", "version":
 
 
 class ModbusTcpServer:
-    """The server of one image. `start` raises GatewayError with the key to change where it cannot listen."""
+    """The server of one image. `start` raises GatewayError with the key to change where it cannot listen.
+
+    BadConfig says which certificate cannot be read.
+    """
 
     def __init__(
         self,
@@ -52,48 +54,46 @@ class ModbusTcpServer:
     ) -> None:
         self._section = section
         self._clock = clock
-        self._places = Places(section.connections, stats.tcp)
+        self._places = Places(limits_of(section), stats.tcp)
         maps = user_maps(section, image, identity)
         gateway_unit = GatewayUnit(image, stats, identity, clock.now(), maps.get(UNIT))
         units: dict[int, Unit] = {**image.by_unit, **maps, UNIT: gateway_unit}
-        self._writers: dict[int, Writer] = {}
+        wards: dict[int, Ward] = {}
         if door is not None and door.controls:
-            self._open(door, image, gateway_unit, units)
-        self._responder = Responder(units, identify, stats.tcp)
-        self._server: asyncio.Server | None = None
+            wards = _open(door, image, gateway_unit, units)
+        self._reception = Reception(units, identify, stats.tcp, wards, Grants(section), door)
+        self._listeners = listeners(section, self._connection, self._reception, clock, self._places, stats.tcp)
         self._next_sweep: asyncio.TimerHandle | None = None
-
-    def _open(self, door: Door, image: Image, gateway_unit: GatewayUnit, units: dict[int, Unit]) -> None:
-        """Let the drives be commanded that may be."""
-        for drive in image.drives:
-            if drive.drive.name in door.controls and drive.drive.unit:
-                commanded = CommandedUnit(drive, door)
-                units[drive.drive.unit] = commanded
-                self._writers[drive.drive.unit] = DriveWriter(drive.drive.name, door, commanded)
-        mirror = MirrorUnit(image, door, gateway_unit)
-        units[UNIT] = mirror
-        self._writers[UNIT] = mirror
 
     async def start(self) -> None:
         """Listen, and serve from now on."""
-        loop = asyncio.get_running_loop()
-        host, port = address(self._section.listen)
         try:
-            self._server = await loop.create_server(self._connection, host, port, backlog=BACKLOG)
-        except OSError as error:
-            raise explain_bind_error(error, host, port, KEY) from error
+            for listener in self._listeners:
+                await listener.start()
+        except GatewayError:
+            await self.stop()
+            raise
         self._sweep_again()
-        log.info("MODBUS-TCP on %s port %d, %d connections at most", host, self.port, self._section.connections)
 
     @property
     def port(self) -> int:
-        """Return the port that is listened on."""
-        if self._server is None:
-            raise RuntimeError("the server has not been started")
-        return int(self._server.sockets[0].getsockname()[1])
+        """Return the port that is listened on; that of the first listener where there are several."""
+        return self._listeners[0].port
 
-    def _connection(self) -> Connection:
-        return Connection(self._responder, self._clock, self._places, self._writers)
+    def port_of(self, kind: type[TcpListener]) -> int:
+        """Return the port of a kind of listener."""
+        return next(listener.port for listener in self._listeners if isinstance(listener, kind))
+
+    def _connection(self, kind: type[Connection] = Connection) -> Connection:
+        """Return what serves a client without TLS, by the rights of its address where addresses differ in them."""
+        reception = self._reception
+        serve = None if reception.is_open else reception.plain
+        return kind(reception.free, self._clock, self._places, reception.free_writers, serve=serve)
+
+    def renew(self) -> None:
+        """Read certificates anew where their files have changed."""
+        for listener in self._listeners:
+            listener.renew()
 
     def _sweep_again(self) -> None:
         self.sweep()
@@ -102,6 +102,8 @@ class ModbusTcpServer:
     def sweep(self) -> None:
         """Cut the connections whose time is over."""
         now = self._clock.now()
+        for listener in self._listeners:
+            listener.pulse(now)
         for connection in tuple(self._places.taken):
             reason = connection.overdue(now, self._section.idle_timeout)
             if reason is not None:
@@ -111,14 +113,28 @@ class ModbusTcpServer:
         """Stop listening and cut every connection."""
         if self._next_sweep is not None:
             self._next_sweep.cancel()
-        if self._server is None:
-            return
-        self._server.close()
+        for listener in self._listeners:
+            listener.close()
         for connection in tuple(self._places.taken):
             connection.cut("the gateway ends")
         await self._places.all_free.wait()
-        await self._server.wait_closed()
-        self._server = None
+        for listener in self._listeners:
+            await listener.wait_closed()
+
+
+def _open(door: Door, image: Image, gateway_unit: GatewayUnit, units: dict[int, Unit]) -> dict[int, Ward]:
+    """Let the drives be commanded that may be; return who carries out the writes, by unit."""
+    wards: dict[int, Ward] = {}
+    for drive in image.drives:
+        name, unit = drive.drive.name, drive.drive.unit
+        if name in door.controls and unit:
+            commanded = CommandedUnit(drive, door)
+            units[unit] = commanded
+            wards[unit] = drive_ward(unit, DriveWriter(name, door, commanded), name, door)
+    mirror = MirrorUnit(image, door, gateway_unit)
+    units[UNIT] = mirror
+    wards[UNIT] = mirror_ward(UNIT, mirror, tuple(image.by_name), door)
+    return wards
 
 
 def identify(pdu: bytes, identity: Mapping[str, str]) -> bytes | ExceptionCode:

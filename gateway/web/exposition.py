@@ -111,6 +111,8 @@ OF_MODBUS_TCP: tuple[Number[TcpStats], ...] = (
     Number("tosvert_modbus_tcp_connections", "Clients that are connected.", lambda tcp: tcp.connections),
     Number("tosvert_modbus_tcp_accepted_total", "Connections that were accepted.", lambda tcp: tcp.accepted),
     Number("tosvert_modbus_tcp_turned_away_total", "Connections beyond the limit.", lambda tcp: tcp.turned_away),
+    Number("tosvert_modbus_tcp_not_allowed_total", "Connections that are not allowed.", lambda tcp: tcp.not_allowed),
+    Number("tosvert_modbus_tcp_denied_total", "Requests that rights refused.", lambda tcp: tcp.denied),
 )
 
 
@@ -284,6 +286,17 @@ def _of_modbus_tcp(stats: TcpStats) -> Iterator[Metric]:
     yield _by_code("tosvert_modbus_tcp_requests_total", text, "function", stats.requests)
     text = "Exception answers by exception code (hexadecimal)."
     yield _by_code("tosvert_modbus_tcp_exceptions_total", text, "code", stats.exceptions)
+
+
+    text = "TLS handshakes by how they ended: done, or what was wrong."
+    handshakes = CounterMetricFamily("tosvert_modbus_tcp_handshakes_total", text, labels=("end",))
+    for end, count in sorted(stats.handshakes.items()):
+        handshakes.add_metric((end,), count)
+    text = "When a certificate of the MODBUS-TCP server expires, in UTC seconds; of authorities the first one."
+    expiries = GaugeMetricFamily("tosvert_modbus_tcp_certificate_expires_seconds", text, labels=("certificate",))
+    for what, expires in sorted(stats.certificates.items()):
+        expiries.add_metric((what,), expires)
+    yield from (handshakes, expiries)
 
 
 def _by_code(name: str, text: str, label: str, counts: Counter[int]) -> Metric:

@@ -16,8 +16,9 @@ from gateway.drives.scaling import Scaling
 from gateway.image import DriveImage, Image, LinkState
 from gateway.metrics import LineStats, Stats
 from gateway.modbus_tcp.codes import ExceptionCode
-from gateway.modbus_tcp.connection import Connection, Places
+from gateway.modbus_tcp.connection import Connection
 from gateway.modbus_tcp.gateway_unit import UNIT, GatewayUnit
+from gateway.modbus_tcp.places import Places
 from gateway.modbus_tcp.responder import Responder, Unit
 from gateway.modbus_tcp.server import IDENTITY, identify
 from gateway.modbus_tcp.session import Reply, Writer
@@ -195,6 +196,10 @@ class Wire(asyncio.Transport):
     def resume_reading(self) -> None:
         """Read again."""
         self.is_reading_paused = False
+
+    def is_reading(self) -> bool:
+        """Say whether it reads."""
+        return not self.is_reading_paused
 
     def close(self) -> None:
         """Close behind what is sent."""

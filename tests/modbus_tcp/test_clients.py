@@ -20,6 +20,7 @@ from gateway.config import MapSection, ModbusTcpSection
 from gateway.errors import GatewayError
 from gateway.image import Image, LinkState
 from gateway.metrics import LineStats, Stats
+from gateway.modbus_tcp.connection import Connection
 from gateway.modbus_tcp.server import IDENTITY, ModbusTcpServer
 from tests.modbus_tcp.rig import TOLD, StandingClock, answers, drive, fresh_image, read, until
 
@@ -354,6 +355,7 @@ def test_keep_alive_is_on(run: Callable[[Scenario], None]) -> None:
             _, writer = await asyncio.open_connection("127.0.0.1", server.port)
             await until(lambda: server.stats.tcp.connections == 1)
             (connection,) = server._places.taken
+            assert isinstance(connection, Connection)
             peer = connection._transport.get_extra_info("socket")
             assert peer.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
             assert peer.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == 15

@@ -138,7 +138,7 @@ def test_every_row_of_drives_that_are_commanded_is_answered_and_nothing_else(con
     clock = StandingClock()
     image = Image(controlled.drives)
     door = Door.of(controlled, clock)
-    served = ModbusTcpServer(ModbusTcpSection(), image, Stats(0.0), clock, door=door)._responder._units
+    served = ModbusTcpServer(ModbusTcpSection(), image, Stats(0.0), clock, door=door)._reception.free._units
     assert set(served) == {1, 20, 3, 4, UNIT}
     for number, unit in served.items():
         rows = [row for row in document.rows if row.unit_id == number]

@@ -20,7 +20,7 @@ COMMAND, FREQUENCY, TERMINALS, OUTPUT, STATUS = 0xFA00, 0xFA01, 0xFA50, 0xFD00, 
 def unit() -> tuple[Listening, CommandedUnit]:
     """Return a server, and its first drive as it is read."""
     made = Listening()
-    found = made.server._responder._units[1]
+    found = made.server._reception.free._units[1]
     assert isinstance(found, CommandedUnit)
     return made, found
 
@@ -133,7 +133,7 @@ def test_a_trip_ends_it() -> None:
 def test_polled_and_commanded_registers_are_read_together() -> None:
     """Where they stand side by side; one that is stale refuses all."""
     made = Listening({"poll": [{"values": ["frequency_command"], "every": "1s", "max_age": "2s"}]})
-    found = made.server._responder._units[1]
+    found = made.server._reception.free._units[1]
     image, now = made.image.by_name["d1"], made.clock.now()
     learn(made, {"command": 0x8000})
     assert found.read(COMMAND, 2, now) is Missing.NOT_FRESH

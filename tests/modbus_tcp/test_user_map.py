@@ -74,7 +74,7 @@ class Served:
 
     def ask(self, pdu: bytes, unit: int = MAP) -> bytes:
         """Return the PDU that answers a PDU, by the way that all requests take and again by that of known ones."""
-        responder = self.server._responder
+        responder = self.server._reception.free
         whole = request(7, unit, pdu)
         told, _, _ = responder.respond(whole, 0, 16, self.clock.now())
         again = responder.answer_again(whole, self.clock.now())
@@ -329,7 +329,7 @@ def test_every_printed_entry_is_answered_and_nothing_else(built: site.Site) -> N
     server = ModbusTcpServer(
         built.config.modbus_tcp, image, Stats(0.0), clock, door=Door.of(built, clock)
     )
-    units = server._responder._units
+    units = server._reception.free._units
     assert set(units) == {1, MAP, 255}
     rows = rows_of(built, MAP)
     for address in range(0x10000):

@@ -88,6 +88,9 @@ def busy() -> Rig:
     sparkplug.is_connected, sparkplug.connects, sparkplug.published, sparkplug.dropped = True, 3, 70, 1
     sparkplug.inbox_dropped, sparkplug.waiting = 6, 8
     tcp.connections, tcp.accepted, tcp.turned_away = 5, 9, 1
+    tcp.not_allowed, tcp.denied = 2, 3
+    tcp.handshakes["expired"] = 4
+    tcp.certificates["ca"] = 2_000_000_000
     tcp.requests.update({3: 700, 4: 20, 43: 1})
     tcp.exceptions.update({2: 6, 11: 8})
     return rig
@@ -196,6 +199,10 @@ def test_northbound_counters_are_shown(busy: Rig) -> None:
     assert value(busy, "tosvert_modbus_tcp_connections") == 5
     assert value(busy, "tosvert_modbus_tcp_accepted_total") == 9
     assert value(busy, "tosvert_modbus_tcp_turned_away_total") == 1
+    assert value(busy, "tosvert_modbus_tcp_not_allowed_total") == 2
+    assert value(busy, "tosvert_modbus_tcp_denied_total") == 3
+    assert value(busy, "tosvert_modbus_tcp_handshakes_total", end="expired") == 4
+    assert value(busy, "tosvert_modbus_tcp_certificate_expires_seconds", certificate="ca") == 2_000_000_000
     assert value(busy, "tosvert_modbus_tcp_requests_total", function="2B") == 1
     assert value(busy, "tosvert_modbus_tcp_requests_total", function="03") == 700
     assert value(busy, "tosvert_modbus_tcp_exceptions_total", code="0B") == 8
