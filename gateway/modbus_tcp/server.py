@@ -22,6 +22,7 @@ from gateway.modbus_tcp.mirror_unit import MirrorUnit
 from gateway.modbus_tcp.read_back import CommandedUnit
 from gateway.modbus_tcp.responder import Responder, Unit
 from gateway.modbus_tcp.session import Writer
+from gateway.modbus_tcp.sockets import Listener, listen
 from gateway.modbus_tcp.user_map import user_maps
 from gateway.modbus_tcp.writing import DriveWriter
 from gateway.ports import explain_bind_error
@@ -60,7 +61,7 @@ class ModbusTcpServer:
         if door is not None and door.controls:
             self._open(door, image, gateway_unit, units)
         self._responder = Responder(units, identify, stats.tcp)
-        self._server: asyncio.Server | None = None
+        self._server: Listener | asyncio.Server | None = None
         self._next_sweep: asyncio.TimerHandle | None = None
 
     def _open(self, door: Door, image: Image, gateway_unit: GatewayUnit, units: dict[int, Unit]) -> None:
@@ -76,10 +77,9 @@ class ModbusTcpServer:
 
     async def start(self) -> None:
         """Listen, and serve from now on."""
-        loop = asyncio.get_running_loop()
         host, port = address(self._section.listen)
         try:
-            self._server = await loop.create_server(self._connection, host, port, backlog=BACKLOG)
+            self._server = await listen(self._connection, host, port, BACKLOG)
         except OSError as error:
             raise explain_bind_error(error, host, port, KEY) from error
         self._sweep_again()
