@@ -248,6 +248,27 @@ def test_no_more_is_read_while_reading_is_paused(run: Run) -> None:
     run(scenario)
 
 
+def test_closing_in_order_costs_no_answer(run: Run) -> None:
+    """More was sent than is read at once: what is left unread does not turn the end into a reset."""
+
+    async def scenario() -> None:
+        async with serving() as served:
+            client, protocol = await served.connect()
+
+            def answer_and_close(_data: bytes) -> None:
+                protocol.transport.write(b"answer")
+                protocol.transport.close()
+
+            protocol.on_data = answer_and_close
+            client.send(bytes(20_000))
+            await until(lambda: protocol.lost == [None])
+            assert await asyncio.get_running_loop().sock_recv(client, 100) == b"answer"
+            assert await asyncio.get_running_loop().sock_recv(client, 100) == b""
+            client.close()
+
+    run(scenario)
+
+
 @pytest.mark.parametrize("is_paused", [False, True])
 def test_a_client_that_vanishes_is_lost(run: Run, is_paused: bool) -> None:
     """Reset by the peer: with the error where it was read, and also where nothing is read from it."""
