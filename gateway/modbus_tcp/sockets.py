@@ -134,6 +134,15 @@ class ClientSocket(asyncio.Transport):
         """Say whether the socket is read."""
         return self._is_reading and not self._is_closing
 
+    def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
+        """Let another protocol have all that comes from now on."""
+        self._protocol = cast("asyncio.Protocol", protocol)
+        self.take = self._protocol.data_received
+
+    def get_protocol(self) -> asyncio.Protocol:
+        """Return who has what comes."""
+        return self._protocol
+
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
         """Set how many unsent bytes stop the protocol, and at how many it goes on."""
         self._high = WRITE_BUFFER if high is None else high

@@ -34,6 +34,10 @@ class Served(ModbusTcpServer):
         section = ModbusTcpSection(listen=f"127.0.0.1:{port}", map=MAPPED)
         super().__init__(section, image or fresh_image(), self.stats, self.clock)
 
+    def obey(self, *units: int) -> None:
+        """Let every write to these units be carried out."""
+        self._writers.update((unit, Obeying()) for unit in units)
+
 
 @contextlib.asynccontextmanager
 async def serving() -> AsyncIterator[Served]:

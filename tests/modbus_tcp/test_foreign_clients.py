@@ -14,7 +14,7 @@ from umodbus.client import tcp
 from umodbus.exceptions import IllegalDataAddressError, IllegalFunctionError, ModbusError
 
 from tests.modbus_tcp.rig import TOLD
-from tests.modbus_tcp.served import Obeying, serving
+from tests.modbus_tcp.served import serving
 
 pytestmark = pytest.mark.e2e
 
@@ -27,7 +27,7 @@ def ask(client: Callable[[int], None], *commanded: int) -> None:
 
     async def main() -> None:
         async with asyncio.timeout(LIMIT), serving() as server:
-            server._writers.update((unit, Obeying()) for unit in commanded)
+            server.obey(*commanded)
             await asyncio.to_thread(client, server.port)
 
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:

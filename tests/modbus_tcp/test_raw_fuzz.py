@@ -13,7 +13,7 @@ import uvloop
 
 from gateway.modbus_tcp.connection import IN_FLIGHT
 from tests.modbus_tcp.rig import answers, read, until, write
-from tests.modbus_tcp.served import Obeying, Served, left_behind, resident, serving
+from tests.modbus_tcp.served import Served, left_behind, resident, serving
 from tests.modbus_tcp.test_fuzz import FRAMES, damaged, judge
 from tests.soak import FACTOR
 
@@ -105,7 +105,7 @@ def test_a_hundred_thousand_damaged_requests_over_sockets() -> None:
         raised: list[dict[str, Any]] = []
         asyncio.get_running_loop().set_exception_handler(lambda _, context: raised.append(context))
         async with asyncio.timeout(LIMIT), serving() as server:
-            server._writers[1] = Obeying()
+            server.obey(1)
             await fuzz(server, SEED, REQUESTS // 5)  # what is made once is made by now
             before, memory = left_behind(), resident()
             fuzzers = await fuzz(server, SEED + CLIENTS, REQUESTS)
@@ -139,7 +139,7 @@ def test_every_split_point_over_sockets() -> None:
 
     async def main() -> None:
         async with asyncio.timeout(LIMIT), serving() as server:
-            server._writers[1] = Obeying()
+            server.obey(1)
             whole = await ask(server, stream)
             assert len(answers(whole)) == len(ALL_FRAMES) - 1
             for at in range(1, len(stream)):

@@ -248,6 +248,26 @@ def test_no_more_is_read_while_reading_is_paused(run: Run) -> None:
     run(scenario)
 
 
+def test_another_protocol_may_take_over(run: Run) -> None:
+    """What comes from then on is its own, and so is the end."""
+
+    async def scenario() -> None:
+        async with serving() as served:
+            client, first = await served.connect()
+            second = Noting()
+            second.connection_made(first.transport)
+            first.transport.set_protocol(second)
+            assert first.transport.get_protocol() is second
+            client.send(b"x")
+            await until(lambda: second.got == b"x")
+            client.close()
+            await until(lambda: second.lost == [None])
+            assert (first.got, first.lost) == (b"", [])
+            served.made[:] = [second]
+
+    run(scenario)
+
+
 def test_closing_in_order_costs_no_answer(run: Run) -> None:
     """More was sent than is read at once: what is left unread does not turn the end into a reset."""
 
