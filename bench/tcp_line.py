@@ -7,11 +7,14 @@ import os
 import statistics
 import struct
 import time
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 
 from bench import whole_gateway
+from bench.line_journal import exchanges
 from bench.tcp_generator import GENERATOR_CORE, SERVER_CORE, Load, loading, pin, put_on, serving, stuck_client, told
+from gateway.protocol.timing import LineTiming
 from gateway.sim.process import SimulatedLine
 
 BAUD, DRIVES = 38400, 8
@@ -19,6 +22,7 @@ CONNECTIONS = 32
 TWO = Load("2 registers", 1, 0xFD00, 2)
 SECONDS = 3.0  # of each half of a round
 SETTLE = 0.5  # seconds between the beginning of a load and counting
+ENTRIES = 2  # of the line's journal, for each exchange: request and answer
 ASKED = struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, 0xFD00, 100)
 
 
@@ -69,30 +73,54 @@ def beside_a_line(rounds: int) -> None:
         print("(the simulated line could not be made a real-time process: it shares its core with the generator)")
 
 
+@dataclass(frozen=True, slots=True)
+class Window:
+    """What a line did in some seconds: its share of the limit, and how long after the gap each request came."""
+
+    share: float
+    late: Sequence[float]
+    cycle: float
+    gap_violations: int
+    own_lateness: float
+
+
 def _compare_shares(line: SimulatedLine, port: int, rounds: int) -> None:
-    without, with_, rates, slowest = [], [], [], []
+    without, beside, rates, slowest = [], [], [], []
     for _ in range(rounds):
         without.append(_counted(line))
         with loading(port, TWO, CONNECTIONS, SETTLE + SECONDS + SETTLE) as generator:
             time.sleep(SETTLE)
-            with_.append(_counted(line))
+            beside.append(_counted(line))
             answers, elapsed, _, _, p99 = told(generator)
         rates.append(answers / elapsed)
         slowest.append(p99)
-    before, after = (statistics.median(each["share"] for each in some) for some in (without, with_))
-    late = statistics.median(each["lateness_p99"] for each in with_)
-    print(
+    print(told_apart(without, beside))
+    print(f"meanwhile {statistics.median(rates):,.0f} requests/s, p99 {statistics.median(slowest) * 1e3:.2f} ms")
+
+
+def told_apart(without: Sequence[Window], beside: Sequence[Window]) -> str:
+    """Say what the load did to the line: by its share, and by the median request, which other work does not blur."""
+    before, after = (statistics.median(each.share for each in some) for some in (without, beside))
+    late, later = (statistics.median([each for one in some for each in one.late]) for some in (without, beside))
+    cycle = statistics.median(each.cycle for each in (*without, *beside))
+    return (
         f"A line at {BAUD} baud with {DRIVES} drives: {before:.1%} of its limit without clients, {after:.1%} beside "
-        f"{CONNECTIONS} connections at full speed ({after - before:+.1%}); gap violations "
-        f"{sum(each['gap_violations'] for each in (*without, *with_))}\n"
-        f"meanwhile {statistics.median(rates):,.0f} requests/s, p99 {statistics.median(slowest) * 1e3:.2f} ms; "
-        f"the simulated line itself was late by {late * 1e6:.0f} microseconds (p99)"
+        f"{CONNECTIONS} connections at full speed ({100 * (after - before):+.1f} points)\n"
+        f"its median request came {late * 1e6:.0f} microseconds after the gap without them, {later * 1e6:.0f} beside "
+        f"them: {(later - late) / cycle:+.1%} of an exchange of {cycle * 1e3:.1f} ms; gap violations "
+        f"{sum(each.gap_violations for each in (*without, *beside))}; the simulated line itself was late by "
+        f"{max(each.own_lateness for each in beside) * 1e6:.0f} microseconds (p99)"
     )
 
 
-def _counted(line: SimulatedLine) -> dict[str, Any]:
+def _counted(line: SimulatedLine) -> Window:
     line.do({"do": "reset_stats"})
     begun = time.monotonic()
     time.sleep(SECONDS)
     counted = line.stats()
-    return {**counted, "share": counted["busy"] / (time.monotonic() - begun)}
+    elapsed = time.monotonic() - begun
+    made = exchanges(line.log(ENTRIES * counted["answers"]))
+    gap = LineTiming(BAUD).gap
+    late = [later.begin - earlier.end - gap for earlier, later in pairwise(made) if earlier.answer]
+    cycle = statistics.median(later.begin - earlier.begin for earlier, later in pairwise(made))
+    return Window(counted["busy"] / elapsed, late, cycle, counted["gap_violations"], counted["lateness_p99"])
