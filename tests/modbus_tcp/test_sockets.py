@@ -131,10 +131,21 @@ async def received(client: socket.socket, size: int) -> int:
     return count
 
 
+TURNS = {  # how long one is, what counts as nothing between two of them, and how many of eight clients it serves
+    "over at once": (-1.0, float("inf"), 1),
+    "after something else": (LIMIT, -1.0, 1),
+    "time enough": (LIMIT, float("inf"), 8),
+}
+
+
 @pytest.mark.hazard("H25")
-def test_a_turn_that_is_over_lets_the_loop_go_on_first(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Eight clients ask at once, a turn is over after the first: the loop does something else between any two."""
-    monkeypatch.setattr(sockets, "TURN", -1.0)
+@pytest.mark.parametrize(("turn", "alone", "served_by_one"), TURNS.values(), ids=TURNS)
+def test_a_turn_that_is_over_lets_the_loop_go_on_first(
+    run: Run, monkeypatch: pytest.MonkeyPatch, turn: float, alone: float, served_by_one: int
+) -> None:
+    """Eight clients ask at once: where a turn is over after the first, the loop goes on between any two."""
+    monkeypatch.setattr(sockets, "TURN", turn)
+    monkeypatch.setattr(sockets, "ALONE", alone)
 
     async def scenario() -> None:
         async with serving() as served:
@@ -146,7 +157,7 @@ def test_a_turn_that_is_over_lets_the_loop_go_on_first(run: Run, monkeypatch: py
                 protocol.on_data = lambda _, place=place: order.append(place)  # type: ignore[misc]
                 client.send(b"x")
             await until(lambda: len(turns._epoll.poll(0)) == 8)
-            for served_by_now in range(1, 9):
+            for served_by_now in range(served_by_one, 9, served_by_one):
                 turns._turn()
                 assert len(order) == served_by_now
             assert sorted(order) == list(range(8))
