@@ -88,7 +88,7 @@ def test_the_table_of_exceptions(unit: int, asked: bytes, code: int) -> None:
 
 @pytest.mark.hazard("H27")
 @pytest.mark.hazard("H28")
-def test_every_function_under_every_unit() -> None:
+def test_every_other_function_is_refused_under_every_unit() -> None:
     """256 functions, 256 units: who is not there is 0AH, and all that is neither read nor identification 01."""
     rig = Rig()
     present, silent, down = (1, 4, 255), 2, 3
