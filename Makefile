@@ -54,7 +54,7 @@ prove: $(VENV)/.dev $(VENV)/.package programs ## prove that the tests of each ha
 	@PATH="$$PATH:/usr/sbin" $(BIN)/python -m tools.prove $(PROVE_ARGS)
 	@$(BIN)/python -m tools.hazards
 
-bench: $(VENV)/.dev $(VENV)/.package ## measure line use, latencies and MODBUS-TCP, beside other programs (BENCH_ARGS=--quick)
+bench: $(VENV)/.dev $(VENV)/.package peers ## measure line use, latencies and MODBUS-TCP, beside other programs (BENCH_ARGS=--quick)
 	@$(BIN)/python -m bench.run $(BENCH_ARGS)
 
 generate: $(VENV)/.dev $(VENV)/.package ## write the generated files anew: JSON Schema, table of licences, hazards
@@ -76,6 +76,10 @@ lock: $(VENV)/.dev ## bring the lock files up to pyproject.toml (LOCK_ARGS=--upg
 programs: # what the tests start beside Python
 	@tools/need-packages "make test" mosquitto:mosquitto mosquitto_sub:mosquitto-clients mbpoll:mbpoll tshark:tshark \
 		node:nodejs npm:npm
+
+peers: # what the benchmarks start beside Python, and what they compile with
+	@tools/need-packages "make bench" mosquitto:mosquitto gcc:gcc gcc:libc6-dev
+	@test -e /usr/include/modbus/modbus.h || tools/need-packages "make bench" :libmodbus-dev
 
 clean: ## remove what make has made
 	rm -rf $(VENV) $(HOUSE) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
@@ -115,4 +119,4 @@ $(VENV)/.package: $(VENV)/.made pyproject.toml
 	@$(PIP) install --no-deps --no-build-isolation -e .
 	@touch $@
 
-.PHONY: help demo check test test-quick soak home-assistant prove bench generate lock programs clean
+.PHONY: help demo check test test-quick soak home-assistant prove bench generate lock programs peers clean

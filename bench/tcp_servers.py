@@ -1,11 +1,12 @@
 """The MODBUS-TCP servers that bench/tcp_load.py compares: run as `python -m bench.tcp_servers NAME`, one a process.
 
-The process prints its port and serves until its standard input closes.
+The process prints its port and serves until its standard input closes. Those in C do the same (*.c).
 """
 
 from __future__ import annotations
 
 import asyncio
+import socket
 import sys
 from collections.abc import Callable, Coroutine
 from typing import Any
@@ -29,7 +30,7 @@ START = 0xFD00
 REGISTERS = 100
 DRIVES = 8
 CONNECTIONS = 200
-ANSWER_EVERY = 0.002  # seconds; a line at 38400 baud brings an answer in 10 ms: this is five busy lines
+ANSWER_EVERY = 0.01  # seconds, as a busy line at 38400 baud brings them
 WORDS_PER_ANSWER = 5
 MAX_AGE = 3.0
 FIXED = {count: bytes([0, 0, 0, 2 * count + 3, 1, 3, 2 * count]) + bytes(2 * count) for count in (5, REGISTERS)}
@@ -57,7 +58,7 @@ def drive(unit: int) -> Drive:
 
 
 async def keep_fresh(image: Image, clock: SystemClock) -> None:
-    """Bring answers as busy lines would, drive after drive, five words each."""
+    """Bring answers as a busy line would, drive after drive, five words each."""
     for i in range(sys.maxsize):
         target = image.drives[i % DRIVES]
         first = START + i // DRIVES * WORDS_PER_ANSWER % REGISTERS
@@ -103,6 +104,20 @@ class FixedAnswer(asyncio.Protocol):
         self.write(data[:2] + FIXED[data[11]])
 
 
+async def serve_pymodbustcp() -> int:
+    """Start pyModbusTCP's server, which has a thread for each connection."""
+    from pyModbusTCP.server import DataBank, ModbusServer
+
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = int(free.getsockname()[1])
+    bank = DataBank()
+    bank.set_holding_registers(START, list(range(REGISTERS)))
+    server = ModbusServer("127.0.0.1", port, no_block=True, data_bank=bank)
+    server.start()
+    BACKGROUND.append(server)
+    return port
+
+
 async def serve_fixed_answer() -> int:
     """Start the bare protocol."""
     server = await asyncio.get_running_loop().create_server(FixedAnswer, "127.0.0.1", 0)
@@ -114,6 +129,7 @@ BACKGROUND: list[object] = []
 SERVERS: dict[str, Callable[[], Coroutine[None, None, int]]] = {
     "gateway": serve_gateway,
     "pymodbus": serve_pymodbus,
+    "pyModbusTCP": serve_pymodbustcp,
     "bare uvloop": serve_fixed_answer,
 }
 

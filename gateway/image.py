@@ -10,12 +10,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from enum import Enum, IntEnum
+from functools import partial
 
 from gateway.drives.register import Derived
 from gateway.segment import NEVER, Segment
 from gateway.site import Drive, Point
 
-__all__ = ["NEVER", "DriveImage", "Image", "LinkState", "Listener", "Missing", "Quality", "Sample"]
+__all__ = ["NEVER", "DriveImage", "Image", "LinkState", "Listener", "Missing", "Quality", "Reading", "Sample"]
 
 
 class Quality(IntEnum):
@@ -73,6 +74,8 @@ class Sample:
 
 
 Listener = Callable[["DriveImage", Sequence[str]], None]
+Reading = Callable[[float], bytes | Missing]
+"""Reads one range of words that was found beforehand, as it is at a monotonic time."""
 
 
 class DriveImage:
@@ -198,6 +201,20 @@ class DriveImage:
         if segment.fresh_until < now and not segment.is_fresh(offset, end, now):
             return Missing.NOT_FRESH
         return segment.words[2 * offset : 2 * end]
+
+    def reading(self, start: int, count: int) -> Reading:
+        """Return what reads these words again and again: `read` for masters that always ask the same."""
+        segment, offset = self._at.get(start, (None, 0))
+        if segment is None or offset + count > segment.count:
+            return partial(self.read, start, count)
+        first, end = 2 * offset, 2 * (offset + count)
+
+        def read(now: float) -> bytes | Missing:
+            if self._unreadable is None and segment.fresh_until >= now:
+                return segment.words[first:end]
+            return self.read(start, count, now)
+
+        return read
 
     def worst_quality(self, now: float) -> Quality:
         """Return the worst quality of all values."""

@@ -257,6 +257,8 @@ def test_reading_agrees_with_a_naive_image(data: st.DataObject) -> None:
     image, now = DriveImage(drive()), NOW
     ages = dict(zip(ADDRESSES, MAX_AGES, strict=True))
     naive: dict[int, tuple[int, float]] = {}
+    ranges = ((0xFD00, 1), (0xFD00, 4), (0xFD01, 2), (0xFD03, 1), (0xFD05, 1), (0xFD00, 5), (0xFD08, 1))
+    readings = {each: image.reading(*each) for each in ranges}
     for _ in range(data.draw(st.integers(1, 15))):
         now += data.draw(st.sampled_from([0.0, 0.1, 0.4, 0.5, 1.0, 1.5]))
         if data.draw(st.integers(0, 3)):
@@ -267,9 +269,10 @@ def test_reading_agrees_with_a_naive_image(data: st.DataObject) -> None:
             image.set_link(data.draw(st.sampled_from(LinkState)), data.draw(st.sampled_from(["", "why"])))
             if not image.link.is_connected:
                 naive.clear()
-        for start, count in ((0xFD00, 1), (0xFD00, 4), (0xFD01, 2), (0xFD03, 1), (0xFD05, 1)):
+        for start, count in ranges[:5]:
             told = [naive.get(address, (0, 0.0)) for address in range(start, start + count)]
             is_fresh = image.link.is_connected and all(expires >= now for _, expires in told)
             lost = Missing.LINE_DOWN if image.link is LinkState.LINE_DOWN else Missing.NOT_FRESH
             expected = b"".join(word.to_bytes(2, "big") for word, _ in told) if is_fresh else lost
-            assert image.read(start, count, now) == expected
+            assert readings[start, count](now) == image.read(start, count, now) == expected
+        assert all(readings[each](now) is image.read(*each, now) is Missing.UNMAPPED for each in ranges[5:])

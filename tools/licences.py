@@ -36,6 +36,8 @@ PURPOSES = {
     "pytest-xdist": "tests on all cores",
     "ruff": "lint",
     "minimalmodbus": "a peer in the benchmarks",
+    "pymodbustcp": "a foreign MODBUS-TCP client in the tests, a peer in the benchmarks",
+    "umodbus": "another foreign MODBUS-TCP client",
     "setuptools": "building the package",
 }
 
@@ -47,6 +49,7 @@ SPELLED = {
     "pyserial": "BSD-3-Clause",
     "shellingham": "ISC",
     "sortedcontainers": "Apache-2.0",
+    "umodbus": "MPL-2.0",
     "uvloop": "MIT OR Apache-2.0",
 }
 CLASSIFIERS = {
@@ -66,12 +69,15 @@ installed from the package index; nothing of them is copied into this project. V
 PROGRAMS = """
 ## Programs that the tests start
 
-Installed by `make test`, from Debian but for those of `tools/foreign`; never distributed with the project.
+Installed by `make test` or `make bench`, from Debian but for those of `tools/foreign`; never distributed with the
+project.
 
 | program | licence | for |
 |---|---|---|
 | mosquitto, mosquitto-clients | EPL-2.0 OR BSD-3-Clause | a real broker and real clients |
 | mbpoll | GPL-3.0-or-later | a real MODBUS master |
+| gcc, libc6-dev | GPL-3.0-or-later WITH GCC-exception-3.1, LGPL-2.1-or-later | compiling what `make bench` runs |
+| libmodbus | LGPL-2.1-or-later | a peer in `make bench` |
 | tshark | GPL-2.0-or-later | a foreign dissector of MODBUS-RTU |
 | nodejs, npm | MIT, Artistic-2.0 | running a foreign decoder |
 | pysparkplug | Apache-2.0 | a foreign decoder of Sparkplug, apart (`tools/foreign`) |

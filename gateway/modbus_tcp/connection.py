@@ -44,6 +44,7 @@ class Connection(asyncio.Protocol):
         self._now = clock.now
         self._places = places
         self._transport: asyncio.Transport
+        self._write: Callable[[bytes], None]
         self._source = source  # who commands; by its address where it is not known yet
         self._session = self._session_of(source or Source(Channel.MODBUS_TCP))
         self._owed = self._session.owed
@@ -62,6 +63,7 @@ class Connection(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Serve the client if there is a place for it."""
         self._transport = cast("asyncio.Transport", transport)
+        self._write = self._transport.write
         peer = self._transport.get_extra_info("peername")
         if not self._places.take(self, host_of(peer)):
             self._transport.abort()
@@ -84,7 +86,7 @@ class Connection(asyncio.Protocol):
             answer = self._answer_again(data, now)
             if answer is not None:  # nearly always: a lone request that was asked before
                 self._heard_at = now
-                self._transport.write(answer)
+                self._write(answer)
                 return
         self._data = self._data[self._at :] + data if self._data else data
         self._at = 0

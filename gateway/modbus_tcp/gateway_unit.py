@@ -5,8 +5,9 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
-from gateway.image import DriveImage, Image, LinkState, Missing, Quality
+from gateway.image import DriveImage, Image, LinkState, Missing, Quality, Reading
 from gateway.metrics import Stats
 from gateway.modbus_tcp.user_map import UserMap
 
@@ -123,6 +124,10 @@ class GatewayUnit:
         self._version = version_number(identity["version"])
         self._blocks = [DriveBlock(drive) for drive in image.drives]
         self._drives_end = REGISTERS_PER_DRIVE * len(self._blocks)
+
+    def reading(self, start: int, count: int) -> Reading:
+        """Return what reads these registers again and again."""
+        return partial(self.read, start, count)
 
     def read(self, start: int, count: int, now: float) -> bytes | Missing:
         """Return `count` registers from `start`, or UNMAPPED where they leave what this unit has."""

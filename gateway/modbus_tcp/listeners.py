@@ -15,6 +15,7 @@ from gateway.modbus_tcp.handshakes import Handshakes
 from gateway.modbus_tcp.places import Places
 from gateway.modbus_tcp.reception import Reception
 from gateway.modbus_tcp.rtu_connection import RtuConnection
+from gateway.modbus_tcp.sockets import Listener, listen
 from gateway.modbus_tcp.tls_connection import TlsClient
 from gateway.ports import explain_bind_error
 
@@ -35,14 +36,13 @@ class TcpListener:
         self._key = key
         self._listen = listen
         self._factory = factory
-        self._server: asyncio.Server | None = None
+        self._server: Listener | asyncio.Server | None = None
 
     async def start(self) -> None:
         """Listen from now on."""
         host, port = address(self._listen)
-        loop = asyncio.get_running_loop()
         try:
-            self._server = await loop.create_server(self._factory, host, port, backlog=BACKLOG)
+            self._server = await listen(self._factory, host, port, BACKLOG)
         except OSError as error:
             raise explain_bind_error(error, host, port, self._key) from error
         log.info("%s on %s port %d", self.title, host, self.port)

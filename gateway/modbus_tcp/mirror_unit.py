@@ -5,10 +5,11 @@ from __future__ import annotations
 import ipaddress
 import struct
 from collections.abc import Mapping
+from functools import partial
 
 from gateway.control.command import Result, Source
 from gateway.control.door import Door
-from gateway.image import Image, LinkState, Missing
+from gateway.image import Image, LinkState, Missing, Reading
 from gateway.modbus_tcp.codes import CODE_FOR, ExceptionCode, Wrong, exception_of
 from gateway.modbus_tcp.gateway_unit import NO_VALUE, REGISTERS_PER_DRIVE, VALUES, VALUES_AT, GatewayUnit
 from gateway.modbus_tcp.hosts import host_of_source
@@ -102,6 +103,10 @@ class MirrorUnit:
         if not is_inside or not Place(first + len(request.words) - 1).is_written:
             raise Wrong(ExceptionCode.ILLEGAL_DATA_ADDRESS)
         return index, {Place(first + i): word for i, word in enumerate(request.words)}
+
+    def reading(self, start: int, count: int) -> Reading:
+        """Return what reads these registers again and again."""
+        return partial(self.read, start, count)
 
     def read(self, start: int, count: int, now: float) -> bytes | Missing:
         """Return registers of the mirror, of the lines, or of what stands besides under this unit."""

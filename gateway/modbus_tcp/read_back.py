@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 
 from gateway.control.command import Result
 from gateway.control.door import Door
 from gateway.control.writes import Allowed, BadCommand, check_access
 from gateway.drives.register import Register, Storage
-from gateway.image import DriveImage, LinkState, Missing
+from gateway.image import DriveImage, LinkState, Missing, Reading
 from gateway.site import Drive
 
 FRESH_FOR = 5.0  # seconds; what is to be read at any time is to be polled
@@ -61,6 +62,11 @@ class CommandedUnit:
         """Return words as they stand on the wire, or why not."""
         words = self._image.read(start, count, now)
         return self._one_by_one(start, count, now) if words is Missing.UNMAPPED else words
+
+    def reading(self, start: int, count: int) -> Reading:
+        """Return what reads these words again and again."""
+        is_polled = self._polled.issuperset(range(start, start + count))
+        return self._image.reading(start, count) if is_polled else partial(self.read, start, count)
 
     def _one_by_one(self, start: int, count: int, now: float) -> bytes | Missing:
         numbers = range(start, start + count)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from enum import Enum
 from typing import Protocol
 
-from gateway.image import LinkState, Missing
+from gateway.image import LinkState, Missing, Reading
 from gateway.metrics import TcpStats
 from gateway.modbus_tcp.codes import CODE_FOR, ExceptionCode
 from gateway.modbus_tcp.requests import WRITING
@@ -48,10 +48,13 @@ class Unit(Protocol):
         """Return words as they stand on the wire, or why not."""
         ...
 
+    def reading(self, start: int, count: int) -> Reading:
+        """Return what reads these words again and again, and always as `read` would."""
+        ...
 
-Read = Callable[[int, int, float], bytes | Missing]
-Known = tuple[Read, int, int, bytes]
-"""A request to read that was answered before: who reads, start, count, and the answer up to its words."""
+
+Known = tuple[Reading, int, bytes]
+"""A request to read that was answered before: what reads it again, its function, and the answer up to its words."""
 
 Identify = Callable[[bytes, Mapping[str, str]], bytes | ExceptionCode]
 """Answers a request PDU of function 43 from an identity: the PDU of the answer, or the exception."""
@@ -100,11 +103,11 @@ class Responder:
         known = self._known.get(data[TRANSACTION:])
         if known is None:
             return None
-        read, start, count, head = known
-        words = read(start, count, now)
+        reading, function, head = known
+        words = reading(now)
         if not isinstance(words, bytes):
             return None
-        self._requests[head[FUNCTION_AT]] += 1
+        self._requests[function] += 1
         return data[:TRANSACTION] + head + words
 
     def respond(self, data: bytes, at: int, limit: int, now: float, order: Order | None = None) -> Turn:
@@ -164,7 +167,7 @@ class Responder:
         told = bytes([function, 2 * count])
         if len(self._known) < KNOWN_AT_MOST:
             head = HEAD.pack(0, 3 + 2 * count) + frame[UNIT_AT : UNIT_AT + 1] + told
-            self._known[frame] = (served.read, start, count, head)
+            self._known[frame] = (served.reading(start, count), function, head)
         return told + words
 
     def _identified(self, served: Unit, pdu: bytes) -> bytes | ExceptionCode:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from decimal import Decimal
+from functools import partial
 
 from gateway.config import MapSection, ModbusTcpSection
-from gateway.image import NEVER, DriveImage, Image, LinkState, Missing, Quality
+from gateway.image import NEVER, DriveImage, Image, LinkState, Missing, Quality, Reading
 from gateway.wire_forms import FORMS, WORD, encoder
 
 SEVERITY = (Missing.LINE_DOWN, Missing.NOT_FRESH, Missing.NOT_FITTING)  # the first of them is told
@@ -139,6 +140,10 @@ class UserMap:
     def _on_change(self, image: DriveImage, _names: Sequence[str]) -> None:
         for run in self._runs_of.get(image.drive.name, ()):
             run.is_due = True
+
+    def reading(self, start: int, count: int) -> Reading:
+        """Return what reads these registers again and again."""
+        return partial(self.read, start, count)
 
     def read(self, start: int, count: int, now: float) -> bytes | Missing:
         """Return registers as they stand on the wire; UNMAPPED for holes and for a part of a value."""

@@ -135,9 +135,13 @@ def test_polled_and_commanded_registers_are_read_together() -> None:
     made = Listening({"poll": [{"values": ["frequency_command"], "every": "1s", "max_age": "2s"}]})
     found = made.server._reception.free._units[1]
     image, now = made.image.by_name["d1"], made.clock.now()
+    both, polled = found.reading(COMMAND, 2), found.reading(FREQUENCY, 1)
     learn(made, {"command": 0x8000})
-    assert found.read(COMMAND, 2, now) is Missing.NOT_FRESH
+    assert found.read(COMMAND, 2, now) is both(now) is polled(now) is Missing.NOT_FRESH
     image.apply([(FREQUENCY, 1000)], now, 0.0)
+    assert both(now) == words(0x8000, 1000)
+    assert polled(now) == words(1000)
+    assert polled(now + 2.1) is Missing.NOT_FRESH
     assert found.read(COMMAND, 2, now) == words(0x8000, 1000)
     assert found.read(COMMAND, 2, now + 2.1) is Missing.NOT_FRESH
     assert found.read(COMMAND, 3, now) is Missing.UNMAPPED

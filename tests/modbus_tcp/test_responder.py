@@ -86,14 +86,21 @@ def test_the_table_of_exceptions(unit: int, asked: bytes, code: int) -> None:
     assert rig.stats.tcp.requests == {asked[0]: 1}
 
 
+@pytest.mark.hazard("H27")
 @pytest.mark.hazard("H28")
-@pytest.mark.parametrize("unit", [0, 1, 2, 3, 4, 99, 255])
-def test_every_other_function_is_refused_under_every_unit(unit: int) -> None:
-    """256 functions: 01 from who is there, 0AH for who is not."""
+def test_every_other_function_is_refused_under_every_unit() -> None:
+    """256 functions, 256 units: who is not there is 0AH, and all that is neither read nor identification 01."""
     rig = Rig()
-    for function in set(range(256)) - {3, 4, 0x2B}:
-        code = 0x0A if unit in (0, 99) else 0x01
-        assert rig.ask(unit, bytes([function, 0, 0, 0, 1])) == bytes([function | 0x80, code])
+    present, silent, down = (1, 4, 255), 2, 3
+    for unit in range(256):
+        for function in range(256):
+            told = rig.ask(unit, bytes([function, 0xFD, 0x00, 0, 1]))
+            if unit not in (*present, silent, down):
+                assert told == bytes([function | 0x80, 0x0A])
+            elif function not in (3, 4, 0x2B):
+                assert told == bytes([function | 0x80, 0x01])
+    assert sum(rig.stats.tcp.requests.values()) == 256 * 256
+    assert rig.ask(1, bytes([3, 0xFD, 0x00, 0, 1])) == b"\x03\x02\x17\x70"
 
 
 @pytest.mark.hazard("H19")
