@@ -181,7 +181,7 @@ class Desk:
         door = Door.of(site.build(table, "page", Path()), FixedClock())
         if "pump-1" in door.controls:
             facts = {"communication_timeout": 15, "timeout_action": 2, "command": 0}
-            door.controls["pump-1"].on_online(facts, {}, door.clock.now())
+            door.controls["pump-1"].presence.on_online(facts, {}, door.clock.now())
         return cls(door)
 
     def own(self, source: Source, *, is_armed: bool) -> None:

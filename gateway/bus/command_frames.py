@@ -37,7 +37,7 @@ class CommandFrames:
         station, control = self._served.stations[commanded.drive], self._served.controls.controls[commanded.drive]
         errand = self._with_block(station, control, commanded.errand)
         request = errand.request
-        control.sending(errand)
+        control.errands.sending(errand)
         station.stats.exchanges += 1
         if isinstance(request, WriteStored):
             station.stats.eeprom_writes[request.address] += 1
@@ -49,7 +49,7 @@ class CommandFrames:
             station.stats.exchanges -= 1
             if isinstance(request, WriteStored):
                 station.stats.eeprom_writes[request.address] -= 1
-            control.on_too_late(errand, self._clock.now())
+            control.errands.on_too_late(errand, self._clock.now())
         except (NoReply, BadReply) as error:
             self._unanswered(station, control, errand, error)
         except Refused as refused:
@@ -80,7 +80,7 @@ class CommandFrames:
         """Take silence, or garbage; a drive that is no longer there is tried from time to time."""
         self._links.missed(station, error)
         self._links.hear(station, Heard.SILENCE, str(error))
-        control.on_silence(errand, str(error), self._clock.now())
+        control.errands.on_silence(errand, str(error), self._clock.now())
         schedule, name = self._served.schedule, station.drive.name
         if station.link.state is LinkState.OFFLINE and not schedule.is_probed(name):
             station.forget()
@@ -95,13 +95,13 @@ class CommandFrames:
         self._lives(station, now, is_good=False)
         self._trips.told(station, refused.is_tripped, now)
         if refused.reason in (Refusal.CHECKSUM, Refusal.OTHER):
-            control.on_silence(errand, str(refused), now)
+            control.errands.on_silence(errand, str(refused), now)
         elif errand.execution is not None and isinstance(errand.request, Exchange):
             if control.state.carrying.was_refused(errand.execution, refused, now):
                 log.warning("%s: commands go in frames of their own: %s", station.drive.name, refused)
                 station.reader.give_up_exchange()
         else:
-            control.on_refused(errand, refused)
+            control.errands.on_refused(errand, refused)
 
     def _carried(self, station: Station, control: DriveControl, errand: Errand, answered: Answered) -> None:
         """Take the answer to a command's frame: what was read back is seen at once."""
@@ -113,7 +113,7 @@ class CommandFrames:
             if isinstance(request, ReadWords) and isinstance(reply, Words):
                 pairs = list(enumerate(reply.words, request.address))
                 station.image.apply(pairs, answered.done, self._clock.wall())
-        control.on_reply(errand, reply, answered.done)
+        control.errands.on_reply(errand, reply, answered.done)
         if isinstance(reply, Exchanged):
             if reply.failed:
                 log.warning("%s: commands go in frames of their own: not written by the exchange", station.drive.name)

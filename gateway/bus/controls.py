@@ -91,7 +91,7 @@ class LineControls:
         for name in _after(stopped, self._last_stopped):
             if not self.keepalive.goes_ahead(name, now):
                 continue
-            errand = self.controls[name].next(now)
+            errand = self.controls[name].errands.next(now)
             if errand is not None:
                 self._last_stopped = name
                 self.keepalive.went_ahead(name, now)
@@ -104,13 +104,13 @@ class LineControls:
 
     def next_of(self, drive: str, now: float) -> Commanded | None:
         """Return what one drive wants."""
-        errand = self.controls[drive].next(now)
+        errand = self.controls[drive].errands.next(now)
         return Commanded(drive, errand) if errand is not None else None
 
     def next_command(self, now: float) -> Commanded | None:
         """Return the next frame of any command, of each drive in turn."""
         for name in _after(list(self.controls), self._last_served):
-            errand = self.controls[name].next(now)
+            errand = self.controls[name].errands.next(now)
             if errand is not None:
                 self._last_served = name
                 return Commanded(name, errand)

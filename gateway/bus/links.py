@@ -84,11 +84,11 @@ class Links:
             facts = station.reader.facts
             model = station.drive.model
             found = [(model.registers[name].address, word) for name, word in facts.items()]
-            control.on_online(facts, model.trip_signs(found), now)
+            control.presence.on_online(facts, model.trip_signs(found), now)
         elif station.is_lost:
-            control.on_offline(reason, now)
+            control.presence.on_offline(reason, now)
         elif is_reply and not station.reader.is_doubtful:
-            control.on_heard(now)
+            control.presence.on_heard(now)
         self.watch(station)
 
     def watch(self, station: Station) -> None:

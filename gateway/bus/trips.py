@@ -29,7 +29,7 @@ class Trips:
     def told(self, station: Station, is_tripped: bool | None, now: float) -> None:
         """Take what an answer said of a trip; at each change the trip code and the status are read at once."""
         if (control := self._served.control_of(station)) is not None:
-            control.on_trip(is_tripped)
+            control.presence.on_trip(is_tripped)
         if is_tripped is None or is_tripped is station.image.is_tripped:
             return
         if is_tripped:

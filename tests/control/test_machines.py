@@ -73,7 +73,7 @@ class CommandPath(RuleBasedStateMachine):
         names = {r.name: r for r in self.control.drive.model.registers.values()}
         wanted = ("command", "communication_timeout", "timeout_action", "timeout_detection", "reset_detection")
         facts = {name: self.words.get(names[name].address, 0) for name in wanted}
-        self.control.on_online(facts, {"trip_code": bool(self.words.get(0xFC90))}, self.now)
+        self.control.presence.on_online(facts, {"trip_code": bool(self.words.get(0xFC90))}, self.now)
 
     @rule(source=st.sampled_from(SOURCES), verb=st.sampled_from([*MOVING, *OTHERS]))
     def command(self, source: Source, verb: Verb) -> None:
@@ -135,13 +135,13 @@ class CommandPath(RuleBasedStateMachine):
         for _ in range(count):
             self.control.tick(self.now)
             if self.control.state.needs_set_up:
-                self.control.on_offline("it is set up anew", self.now)
+                self.control.presence.on_offline("it is set up anew", self.now)
                 self._come()
-            errand = self.control.next(self.now)
+            errand = self.control.errands.next(self.now)
             if errand is None:
                 return
             self._check(errand)
-            self.control.sending(errand)
+            self.control.errands.sending(errand)
             self._exchange(errand, outcome)
             self.now += 0.02
 
@@ -151,29 +151,29 @@ class CommandPath(RuleBasedStateMachine):
             self.words[request.address] = request.word
             if request.address == 0xFA00 and request.word & 1 << 13:
                 self.words = {0x0803: 15, 0x0804: 2, 0x0808: 1}
-                self.control.on_reply(errand, None, self.now)
+                self.control.errands.on_reply(errand, None, self.now)
                 return
         if outcome == "answer" and isinstance(request, ReadWords):
-            self.control.on_reply(errand, Words((self.words.get(request.address, 0),)), self.now)
+            self.control.errands.on_reply(errand, Words((self.words.get(request.address, 0),)), self.now)
         elif outcome == "answer":
-            self.control.on_reply(errand, Written(), self.now)
+            self.control.errands.on_reply(errand, Written(), self.now)
         elif outcome == "refusal":
-            self.control.on_refused(errand, Refused("no", Refusal.UNABLE))
+            self.control.errands.on_refused(errand, Refused("no", Refusal.UNABLE))
         else:
-            self.control.on_silence(errand, "no answer", self.now)
+            self.control.errands.on_silence(errand, "no answer", self.now)
 
     @rule(code=st.sampled_from([0, 24]))
     def trip(self, code: int) -> None:
         """Let the drive trip, or be no longer tripped."""
         self.words[0xFC90] = code
         if self.control.state.is_online:
-            self.control.on_trip(is_tripped=code != 0)
+            self.control.presence.on_trip(is_tripped=code != 0)
 
     @precondition(lambda self: self.control.state.is_online)
     @rule()
     def vanish(self) -> None:
         """Lose the link."""
-        self.control.on_offline("no answer", self.now)
+        self.control.presence.on_offline("no answer", self.now)
 
     @precondition(lambda self: not self.control.state.is_online and not self.control.is_quiet)
     @rule(is_reset=st.booleans())

@@ -49,7 +49,7 @@ def door() -> Door:
     """Return the door of a drive that is online and owned, its owner heard a moment ago."""
     line = {"name": "a", "port": "/dev/null", "drive": [DRIVE]}
     door = Door.of(site.build({"gateway": {"name": "t"}, "line": [line]}, "test", Path()), HandClock())
-    door.controls["d1"].on_online({"communication_timeout": 100, "timeout_action": 2}, {}, door.clock.now())
+    door.controls["d1"].presence.on_online({"communication_timeout": 100, "timeout_action": 2}, {}, door.clock.now())
     door.pulse()
     assert ask(door, Verb.TAKE).status is Status.DONE
     door.beat("d1", DASHBOARD, 1)

@@ -17,6 +17,7 @@ from gateway.control.drive_control import DriveControl
 from gateway.control.execution import Execution
 from gateway.control.lease import Lease
 from gateway.control.loss import Loss
+from gateway.control.permission import Permission
 from gateway.control.results import Results
 from gateway.control.state import DriveState
 from gateway.image import DriveImage, Image, Quality, Sample
@@ -114,7 +115,7 @@ MUTANTS = {
     "anybody owns a drive": Mutant(DriveState, "is_own", yes, "two fight", "who did not own"),
     "nothing is done for a lost lease": Mutant(Loss, "_do", nothing, "death in every state", "beyond permission"),
     "a drive to be left alone is polled": Mutant(DriveControl, "is_quiet", NO, "noise on the line", "is left alone"),
-    "nobody has to arm": Mutant(DriveControl, "_check_state", nothing, "two fight", "never armed"),
+    "nobody has to arm": Mutant(Permission, "check_state", nothing, "two fight", "never armed"),
     "commands have no deadline": Mutant(Command, "deadline", ENDLESS, "gateway frozen", "after it was asked for"),
     "a standstill is not noticed": Mutant(Door, "_stood_still", zero, "gateway frozen", "after it was asked for"),
     "it ends without stopping": Mutant(Door, "leave", nothing, "terminated", "beyond permission"),
