@@ -40,6 +40,7 @@ class LineControls:
     _broadcasts: list[Broadcast] = field(default_factory=list)
     _last_stopped: str = ""
     _last_served: str = ""
+    _was_command: bool = False  # and not a look
 
     def tick(self, now: float) -> None:
         """Let every control see the time."""
@@ -108,13 +109,22 @@ class LineControls:
         return Commanded(drive, errand) if errand is not None else None
 
     def next_command(self, now: float) -> Commanded | None:
-        """Return the next frame of any command, of each drive in turn."""
-        for name in _after(list(self.controls), self._last_served):
+        """Return the next frame of any command, the one with the earliest deadline first; of equal ones in turn.
+
+        Looks at drives that nobody commands just now have their turn behind each frame of a command.
+        """
+        turns = _after(list(self.controls), self._last_served)
+        commanded = sorted((name for name in turns if self.controls[name].has_command), key=self._deadline)
+        looked_at = [name for name in turns if not self.controls[name].has_command]
+        for name in (*looked_at, *commanded) if self._was_command else (*commanded, *looked_at):
             errand = self.controls[name].errands.next(now)
             if errand is not None:
-                self._last_served = name
+                self._last_served, self._was_command = name, name in commanded
                 return Commanded(name, errand)
         return None
+
+    def _deadline(self, drive: str) -> float:
+        return self.controls[drive].deadline
 
 
 def _after(names: Sequence[str], last: str) -> list[str]:

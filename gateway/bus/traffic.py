@@ -73,9 +73,10 @@ def _commands(line: Line) -> Iterator[Stream]:
             yield Stream(MARK_EVERY, _good(line, drive, ReadWords(drive.number, 0)))
         timeout = drive.section.communication_timeout if drive.section is not None else None
         interval = (timeout or 0.0) / PER_TIMEOUT
-        every = interval - lead if interval >= 1.5 * lead else interval / 2
-        if every and not any(group.period <= every for group in drive.groups):
-            yield Stream(every, refresh.turn(line, drive) + OWN)
+        every = interval - lead if interval >= lead else interval / 2  # as `keepalive` lets a drive fall due
+        cost = refresh.turn(line, drive) + OWN
+        if interval and not any(group.period <= every for group in drive.groups):
+            yield Stream(every + cost, cost)
 
 
 def _disturbances(line: Line, plans: Sequence[DrivePlan]) -> Iterator[Stream]:

@@ -98,6 +98,16 @@ class DriveControl:
         return self.state.queue.has_stop
 
     @property
+    def has_command(self) -> bool:
+        """Say whether a command waits, or is under way."""
+        return bool(self.state.queue)
+
+    @property
+    def deadline(self) -> float:
+        """Return until when the command whose turn it is has to be sent (monotonic seconds); infinite without one."""
+        return self.state.queue.head.command.deadline if self.state.queue else float("inf")
+
+    @property
     def is_settled(self) -> bool:
         """Say whether nothing is left to be done for it."""
         return self.standing is not Standing.LOST and not self.state.queue

@@ -424,3 +424,35 @@ def test_a_stop_that_waits_is_not_taken_back_by_a_release_or_the_end() -> None:
 
     play(released, {"on_loss": "hold"})
     play(ended, {"on_exit": "hold"})
+
+def test_the_command_with_the_earliest_deadline_goes_first() -> None:
+    """Six drives that are armed at once: the first of them are armed, instead of all being too late together."""
+
+    async def main() -> None:
+        drive = {"control": "direct", "communication_timeout": "15s", "timeout_action": "stop"}
+        simulated = [{"number": n, "model": "vf-nc3", "block_read": SELECTED} for n in range(1, 13)]
+        made = bench(simulated, [{"values": ["status"], "every": "5s"}], drive=drive)
+        door = Door.of(made.configured, virtual.VirtualClock())
+        line = made.configured.lines[0]
+        stats = made.line_stats, made.drive_stats
+        worker = LineWorker(
+            line, made.image.by_name, *stats, virtual.VirtualClock(), made.open, door.controls
+        )
+        door.connect(LineBell("a", tuple(made.image.by_name), worker.ring, worker.announce))
+        task = asyncio.create_task(worker.run())
+        try:
+            await asyncio.sleep(20.0)
+            now = asyncio.get_running_loop().time()
+            results: list[Result] = []
+            for number in range(1, 13):
+                command = Command(f"d{number}", Verb.ARM, DASHBOARD, now, now + 1.0 + number / 1000)
+                door.submit(command, results.append)
+            await asyncio.sleep(3.0)
+            done = [result.command.drive for result in results if result.status is Status.DONE]
+            assert done[:3] == ["d1", "d2", "d3"]
+            assert len(results) == 12
+        finally:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+
+    virtual.run(main())
