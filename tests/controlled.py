@@ -111,10 +111,16 @@ class Stage:
         return result
 
     def do(self, *commands: str) -> None:
-        """Send commands that must be done."""
+        """Send commands that must be done; while F803, F804 and F808 are being set they are sent again."""
         for command in commands:
-            result = self.ask(command)
-            assert result["status"] == "done", result
+            until(lambda command=command: self._is_done(command), f"{command} to be done")  # type: ignore[misc]
+
+    def _is_done(self, command: str) -> bool:
+        result = self.ask(command)
+        if result["status"] == "refused" and result["reason"] == "busy":
+            return False
+        assert result["status"] == "done", result
+        return True
 
     def run_motor(self, hertz: float) -> None:
         """Take, arm and run, and wait until the motor turns at that speed."""
