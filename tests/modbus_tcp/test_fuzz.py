@@ -29,6 +29,7 @@ FRAMES = (
 )
 
 
+@pytest.mark.unmeasured
 @pytest.mark.hazard("H26")
 async def test_a_hundred_thousand_damaged_requests() -> None:
     """Bits flipped, bytes lost, added and doubled, in pieces: what is whole is answered, what is no frame closes."""
@@ -66,6 +67,7 @@ WRITES = (
 )
 
 
+@pytest.mark.unmeasured
 @pytest.mark.hazard("H22")
 @pytest.mark.hazard("H26")
 @pytest.mark.hazard("H28")
