@@ -12,6 +12,7 @@ from typing import Protocol
 TFD_NONBLOCK = os.O_NONBLOCK  # timerfd_create(2) uses the open(2) flags
 TFD_CLOEXEC = os.O_CLOEXEC
 TFD_TIMER_ABSTIME = 1
+WAKING = 0.00006  # seconds that the event loop needs to wake who waits: the timer is set that much earlier
 LOOP_TIMER_STEP = 0.001  # seconds; a loop timer may ring up to one step early
 
 
@@ -102,12 +103,17 @@ class _TimerFd:
             raise OSError(ctypes.get_errno(), "timerfd_create")
         self._spec = _ItimerSpec()
         self._spec_address = ctypes.byref(self._spec)
-        self._waiter: asyncio.Future[None] | None = None
+        self._waiter: asyncio.Future[bool] | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
 
     async def wait_until(self, when: float) -> None:
-        if when <= time.monotonic():
+        if when > time.monotonic() + WAKING and not await self._is_time(when - WAKING):
             return
+        while time.monotonic() < when:  # what the loop would take longer to do
+            pass
+
+    async def _is_time(self, when: float) -> bool:
+        """Wait until that time, or until it is rung; say whether it was not."""
         if self._loop is None:
             self._loop = asyncio.get_running_loop()
             self._loop.add_reader(self._fd, self._rang)
@@ -116,18 +122,21 @@ class _TimerFd:
         self._waiter = self._loop.create_future()
         self._settime(self._fd, TFD_TIMER_ABSTIME, self._spec_address, None)
         try:
-            await self._waiter
+            return await self._waiter
         finally:
             self._waiter = None
 
     def _rang(self) -> None:
         with contextlib.suppress(BlockingIOError):  # set anew between ringing and reading
             os.read(self._fd, 8)
-        self.ring()
+        self._wake(is_time=True)
 
     def ring(self) -> None:
+        self._wake(is_time=False)
+
+    def _wake(self, *, is_time: bool) -> None:
         if self._waiter is not None and not self._waiter.done():
-            self._waiter.set_result(None)
+            self._waiter.set_result(is_time)
 
     def close(self) -> None:
         """Close the descriptor."""
