@@ -13,6 +13,7 @@ from gateway.bus.links import Links
 from gateway.bus.schedule import Job
 from gateway.bus.station import ServedLine, Station
 from gateway.bus.trips import Trips
+from gateway.control.composing import COMMAND
 from gateway.control.drive_control import DriveControl
 from gateway.control.state import Errand
 from gateway.errors import BadReply, NoReply, Refusal, Refused, TooLate
@@ -57,7 +58,8 @@ class CommandFrames:
         else:
             self._carried(station, control, errand, answered)
         if station.reader.is_on_trial and not isinstance(request, ReadWords):
-            self._learning.stopped(station, self._clock.now())
+            written = errand.execution.write.register.name if errand.execution is not None else COMMAND
+            self._learning.stopped(station, self._clock.now(), written)
         self._links.watch(station)
 
     def _with_block(self, station: Station, control: DriveControl, errand: Errand) -> Errand:

@@ -14,6 +14,8 @@ from gateway.control.state import Errand
 from gateway.protocol.codec import Codec, NoSuchForm
 from gateway.protocol.pdu import WriteRam
 
+SOON = 0.2  # seconds
+
 
 @dataclass(frozen=True, slots=True)
 class Broadcast:
@@ -111,10 +113,12 @@ class LineControls:
     def next_command(self, now: float) -> Commanded | None:
         """Return the next frame of any command, the one with the earliest deadline first; of equal ones in turn.
 
+        A deadline counts as no later than `SOON` behind the command: shorter ones without end put none off for ever.
+
         Looks at drives that nobody commands just now have their turn behind each frame of a command.
         """
         turns = _after(list(self.controls), self._last_served)
-        commanded = sorted((name for name in turns if self.controls[name].has_command), key=self._deadline)
+        commanded = sorted((name for name in turns if self.controls[name].has_command), key=self._urgency)
         looked_at = [name for name in turns if not self.controls[name].has_command]
         for name in (*looked_at, *commanded) if self._was_command else (*commanded, *looked_at):
             errand = self.controls[name].errands.next(now)
@@ -123,8 +127,8 @@ class LineControls:
                 return Commanded(name, errand)
         return None
 
-    def _deadline(self, drive: str) -> float:
-        return self.controls[drive].deadline
+    def _urgency(self, drive: str) -> tuple[float, bool, float]:
+        return self.controls[drive].urgency(SOON)
 
 
 def _after(names: Sequence[str], last: str) -> list[str]:

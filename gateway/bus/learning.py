@@ -44,9 +44,9 @@ class Learning:
         if now < station.quiet_until:
             self._schedule.hold(station.drive.name, station.quiet_until)
 
-    def stopped(self, station: Station, now: float) -> None:
-        """Take that a stop was sent to a drive whose exchange is being tried: the trial is put right."""
-        learnt = station.reader.on_stop(now)
+    def stopped(self, station: Station, now: float, written: str) -> None:
+        """Take that a stop has written a register of a drive whose exchange is tried: the trial is put right."""
+        learnt = station.reader.on_stop(now, written)
         self._tell(station, learnt)
         if learnt.is_ready:
             self._ready(station)

@@ -118,9 +118,9 @@ class Proving:
         self.trial.unanswered()
         return self._after(now)
 
-    def disturbed(self, now: float) -> Learnt:
-        """Take that a stop was sent while the exchange was tried."""
-        self.trial.disturbed()
+    def disturbed(self, now: float, written: str) -> Learnt:
+        """Take that a stop has written a register while the exchange was tried."""
+        self.trial.disturbed(written)
         return self._after(now)
 
     def _after(self, now: float) -> Learnt:

@@ -80,9 +80,9 @@ class DriveReader:
         """Say whether its exchange is being tried."""
         return self._proving.trial.is_under_way
 
-    def on_stop(self, now: float) -> Learnt:
-        """Take that a stop was sent while its exchange is being tried."""
-        return self._proving.disturbed(now)
+    def on_stop(self, now: float, written: str) -> Learnt:
+        """Take that a stop has written a register while its exchange is being tried."""
+        return self._proving.disturbed(now, written)
 
     def give_up_exchange(self) -> None:
         """Take that the drive has refused its exchange, or not written what it should."""

@@ -51,6 +51,7 @@ class SetUp:
     def _stranger(self, reason: str) -> Learnt:
         self._reading.is_set_up = False
         self._reading.pending = None
+        self._proving.trial.forget()
         return Learnt(stranger=reason)
 
     def _resumed(self, now: float) -> Learnt:
@@ -80,6 +81,8 @@ class SetUp:
         """
         reading, model = self._reading, self._drive.model
         reading.is_set_up = False
+        if self._proving.trial.is_under_way:
+            self._proving.trial.forget()
         names = (*IDENTITY_REGISTERS, *((BLOCK_MODE, RESET_MARK) if reading.planner.has_block else ()))
         wanted = control_registers(self._drive)
         wanted += [model.registers[name] for name in names if name in model.registers]

@@ -56,6 +56,7 @@ class Trial:
         self._after: dict[str, int] = {}
         self._left: list[Register] = []
         self._unanswered = 0
+        self._unread: dict[str, int] = {}  # what an earlier trial has overwritten, and did not tell at this set-up
         self._problem = ""
 
     # ---- what others look at
@@ -148,13 +149,25 @@ class Trial:
             self._looked()
         elif self._stage is Stage.CHECKING:
             self._compare()
-            changed = [name for name, word in self._before.items() if self._after.get(name, word) != word]
-            self._stage, self._left = Stage.RESTORING, [self._drive.model.registers[name] for name in changed]
+            self._stage, self._left = Stage.RESTORING, [
+                self._drive.model.registers[name]
+                for name, word in self._before.items()
+                if self._is_tried(name, self._after.get(name, self._wrote(name))) and self._after.get(name) != word
+            ]
         elif self._stage is Stage.RESTORING:
             changed = [name for name, word in self._before.items() if self._after.get(name, word) != word]
             self._stage, self._left = Stage.RESTORED, [self._drive.model.registers[name] for name in changed]
         else:
             self._end()
+
+    def _is_tried(self, name: str, word: int | None) -> bool:
+        """Say whether a register reads as a trial writes it: anything else is somebody's own, as a stop's FA00."""
+        mask = self._drive.model.registers[name].mask
+        return word in {each & mask for each in (COMMAND_WORD, *FREQUENCY_WORDS)}
+
+    def _wrote(self, name: str) -> int | None:
+        """Return what was written to a register, should it not tell; None for those that nothing should reach."""
+        return self._words[name] if self._form is not None and name in self._form.written else None
 
     def _compare(self) -> None:
         """Judge what was read after the trial: the words are where they should be, and nowhere else."""
@@ -180,10 +193,10 @@ class Trial:
 
     def _left_behind(self) -> None:
         """Find what reads as a trial has written it: unless it was reset, or set meanwhile, that is the trial's."""
-        tried = {COMMAND_WORD, *FREQUENCY_WORDS}
-        names = [n for n, word in self._after.items() if word in tried and self._before.get(n, word) != word]
+        names = [n for n, w in self._after.items() if self._is_tried(n, w) and self._before.get(n, w) != w]
         if runs(self._drive.model.registers[COMMAND], self._after.get(COMMAND, 0)):  # somebody has taken it over
             names = []
+        self._unread = {n: w for n, w in self._before.items() if n not in self._after}
         self._before = {name: self._before[name] for name in names}
         self._problem = "a trial was broken off"
         self._stage, self._left = Stage.RESTORING, [self._drive.model.registers[name] for name in names]
@@ -230,27 +243,29 @@ class Trial:
             self._call_off(str(refused))
 
     def unanswered(self) -> None:
-        """Take that a frame was not answered: it is sent again, some times."""
+        """Take that a frame was not answered: it is sent again, some times; the exchange never, by an old look."""
         self._unanswered += 1
-        if self._unanswered < TRIES:
-            return
-        self._unanswered = 0
         if self._stage is Stage.TRYING:
             self._problem = "no answer"
             self._check()
-        elif self._left:
+            return
+        if self._unanswered < TRIES:
+            return
+        self._unanswered = 0
+        if self._left:
             self._problem = "no answer"
             self._left.pop(0)
         else:
             self._call_off("no answer")
 
-    def disturbed(self) -> None:
-        """Take that a stop was sent meanwhile: what stands in FA00 now is its own."""
+    def disturbed(self, written: str) -> None:
+        """Take that a stop has written a register meanwhile: what stands there now is its own."""
         if self.is_under_way:
             self._problem = "a stop came"
-            self._before.pop(COMMAND, None)
+            self._before.pop(written, None)
             if self._form is not None and self._stage in (Stage.LOOKING, Stage.STANDING):
-                self._call_off(self._problem)
+                self._before, self._stage = {}, Stage.RESTORED
+                self._left = [self._drive.model.registers[COMMAND]]
             elif self._stage is not Stage.LOOKING:
                 self._check()
 
@@ -263,12 +278,13 @@ class Trial:
     def _end(self) -> None:
         """Judge: all that was tried arrived where it should, nothing else changed, and all is as it was."""
         self._stage = Stage.OVER
-        before, self._before = self._before, {}
+        wrong = [name for name, word in self._before.items() if self._after.get(name, word) != word]
+        self._before = {name: self._before[name] for name in wrong}  # put right at the next set-up
         if self._form is None:
-            if (offered := self._offered) is not None:
+            self._before |= self._unread
+            if not self._before and (offered := self._offered) is not None:
                 self._start(offered)
             return
-        wrong = [name for name, word in before.items() if self._after.get(name, word) != word]
         if wrong and not self._problem:
             self._problem = f"{', '.join(wrong)} could not be written as it was"
         if not self._problem:

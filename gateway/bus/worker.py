@@ -69,7 +69,7 @@ class LineWorker:
         self._controls = served.controls
         self._schedule = served.schedule
         self._links = Links(served)
-        learning = Learning(served, self._links, promises.predict(line, drive_stats))
+        self._learning = learning = Learning(served, self._links, promises.predict(line, drive_stats))
         trips = Trips(served, learning)
         self._polls = Polls(served, self._links, learning, trips, count_stored)
         self._commands = CommandFrames(served, self._links, learning, trips)
@@ -180,6 +180,9 @@ class LineWorker:
             await exchanger.exchange(broadcast.codec, broadcast.request, slowest)
         except (NoReply, BadReply, Refused):
             self._stats.errors["bad_reply"] += 1
+        for station in self._stations.values():
+            if station.reader.is_on_trial:
+                self._learning.stopped(station, self._clock.now(), COMMAND)
 
     async def _poll(self, exchanger: Exchanger, now: float, *, is_owed: bool = False) -> None:
         """Do what the schedule says: a poll, a probe, or waiting; instead of waiting, what is due for an F803.

@@ -102,10 +102,15 @@ class DriveControl:
         """Say whether a command waits, or is under way."""
         return bool(self.state.queue)
 
-    @property
-    def deadline(self) -> float:
-        """Return until when the command whose turn it is has to be sent (monotonic seconds); infinite without one."""
-        return self.state.queue.head.command.deadline if self.state.queue else float("inf")
+    def urgency(self, soon: float) -> tuple[float, bool, float]:
+        """Return what says whose command goes first, the least: its deadline, `soon` after it came at the latest.
+
+        Of equal ones that which is begun goes on, so that some are sent in time where not all can be.
+        """
+        if not self.state.queue:
+            return float("inf"), True, float("inf")
+        head = self.state.queue.head
+        return min(head.command.deadline, head.command.received + soon), not head.is_begun, head.command.deadline
 
     @property
     def is_settled(self) -> bool:

@@ -278,8 +278,8 @@ def test_a_trial_frame_that_is_lost_leaves_nothing_behind(
 
     async def watch(stage: Bench) -> None:
         put(stage, {FREQUENCY: 1234})
-        lose = Fault(Kind.DROP, 1, count=1)
-        faulty(monkeypatch, range(which, which + times), lambda: stage.wire.faults.add(lose))
+        lose = range(which, which + times)
+        faulty(monkeypatch, lose, lambda: stage.wire.faults.add(Fault(Kind.DROP, 1, count=1)))
         await asyncio.sleep(15.0)
         assert stage.link("d1") is LinkState.ONLINE
         assert (word(stage, COMMAND), word(stage, FREQUENCY)) == (0, 1234)
