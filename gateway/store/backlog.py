@@ -1,0 +1,126 @@
+"""The backlog of one broker as the event loop sees it: what it missed while it was away, in a file, bounded.
+
+It is outside the control path: where its disk is full, read-only or hangs, readings are dropped, which is counted and
+warned of, and everything else goes on. Setpoints and commands never come here.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from gateway.backlog import BacklogStats, Kept, Loss, Reading
+from gateway.config import BacklogSection
+from gateway.store.backlog_inbox import Question
+from gateway.store.backlog_schema import Limits
+from gateway.store.backlog_thread import BacklogPace, BacklogThread
+from gateway.store.place import in_state_folder
+
+log = logging.getLogger("gateway.store")
+
+CLOSE_WITHIN = 3.0  # seconds for what waits to be written when the gateway ends
+PACE = BacklogPace()
+SAID_AGAIN = 10_000  # readings dropped since the last warning
+
+
+def backlog_path(
+    section: BacklogSection, name: str, folder: Path, environment: Mapping[str, str] = os.environ
+) -> Path:
+    """Return where the file is: as configured, else in $STATE_DIRECTORY, else in the configuration file's folder."""
+    return in_state_folder(section.path, f"backlog-{name}.sqlite", folder, environment)
+
+
+class FiledBacklog:
+    """A backlog in a file. All of it is for the event loop; nothing here waits for the disk."""
+
+    def __init__(
+        self, path: Path, limits: Limits, stats: BacklogStats | None = None, pace: BacklogPace = PACE
+    ) -> None:
+        self.path = path
+        self.origin = ""
+        self.stats = stats if stats is not None else BacklogStats()
+        self._thread = BacklogThread(path, limits, pace, self, self._post)
+        self._rows = 0  # in the file
+        self._problem = ""
+        self._untold = 0
+        self._ended = asyncio.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    def start(self) -> None:
+        """Begin; a file that is there is opened, and one that is not when there is something to keep."""
+        self._loop = asyncio.get_running_loop()
+        self._thread.start()
+
+    async def close(self) -> None:
+        """Write what waits and let the file go; a disk that hangs is not waited for."""
+        if self._loop is None:
+            return
+        self._thread.inbox.end()
+        try:
+            await asyncio.wait_for(self._ended.wait(), CLOSE_WITHIN)
+        except TimeoutError:
+            log.warning("%s: the disk does not answer; the last readings may be lost", self.path)
+
+    # ---- what the adapters ask
+
+    def put(self, reading: Reading) -> None:
+        """Keep a reading; where too many wait for the disk the oldest give way."""
+        if dropped := self._thread.inbox.put(reading):
+            self.dropped(Loss.DISK, dropped)
+        self._count()
+
+    def ask(self, after: int, count: int, without: frozenset[str], then: Callable[[Sequence[Kept]], None]) -> None:
+        """Have `then` called with the oldest readings behind a number, but for those of some drives."""
+        self._thread.inbox.ask(Question(after, count, without, then))
+
+    def let_go(self, numbers: Sequence[int]) -> None:
+        """Keep these no longer."""
+        self._thread.inbox.let_go(numbers)
+
+    # ---- what the thread tells, in the event loop
+
+    def _post(self, call: Callable[..., None], *arguments: object) -> None:
+        """Have something called in the event loop; called by the thread, perhaps after the loop has ended."""
+        assert self._loop is not None  # noqa: S101 - set before the thread is started
+        with contextlib.suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(call, *arguments)
+
+    def stored(self, count: int, waiting: int) -> None:
+        """Take that so many readings more are in the file for good, and how many there are in all."""
+        self.stats.stored += count
+        self._rows = waiting
+        self._count()
+
+    def _count(self) -> None:
+        self.stats.waiting = self._rows + self._thread.inbox.waiting
+
+    def dropped(self, loss: Loss, count: int) -> None:
+        """Count readings that were dropped, and warn of the first and then of many."""
+        is_first = not self.stats.dropped[loss]
+        self.stats.dropped[loss] += count
+        self._untold += count
+        if is_first or self._untold >= SAID_AGAIN:
+            text = "%s: readings are dropped (%s), %d so far"
+            log.warning(text, self.path, loss.value, self.stats.dropped[loss])
+            self._untold = 0
+
+    def opened(self, origin: str, waiting: int) -> None:
+        """Take that the file can be used."""
+        if self._problem:
+            log.info("%s is open again", self.path)
+        self._problem, self.stats.has_problem, self.origin = "", False, origin
+        self.stored(0, waiting)
+
+    def away(self, problem: str) -> None:
+        """Take why the file cannot be used."""
+        if problem != self._problem:
+            log.warning("%s: what the broker misses is not stored, all else goes on", problem)
+        self._problem, self.stats.has_problem = problem, True
+
+    def ended(self) -> None:
+        """Take that the thread has ended."""
+        self._ended.set()
