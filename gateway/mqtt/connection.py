@@ -15,6 +15,7 @@ from gateway.metrics import MqttStats
 from gateway.mqtt import reasons
 from gateway.mqtt.made import BrokerAway, Made, Terms, close
 from gateway.mqtt.outgoing import Outgoing
+from gateway.mqtt.receipts import Receipts
 from gateway.mqtt.reception import Ears, Reception
 from gateway.mqtt.socket_loop import SocketLoop
 
@@ -56,6 +57,7 @@ class Connection:
         self._reception = Reception(made.client, stats, section)
         self._socket = SocketLoop(made.client, self._reception, self)
         self.outgoing = Outgoing(made, section, stats, self._socket.write_soon)
+        self.receipts = Receipts(made.client, self.outgoing)
         self._news = asyncio.Event()
         self._wanted_room = 0
         self._error: Exception | None = None
@@ -108,8 +110,9 @@ class Connection:
         """Write what was sent to the socket, now; what it does not take is written as soon as it does."""
         is_all_written = self._socket.write(self.outgoing.unwritten)
         self.outgoing.unwritten = 0
-        self.outgoing.count(is_all_written=is_all_written)
-        if self._wanted_room and self.outgoing.room >= self._wanted_room:
+        is_news = self.outgoing.count(is_all_written=is_all_written)
+        is_news |= self.receipts.look()
+        if is_news or (self._wanted_room and self.outgoing.room >= self._wanted_room):
             self._news.set()
 
     def tend(self) -> None:

@@ -50,6 +50,12 @@ class FiledBacklog:
         self._ended = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
 
+    @classmethod
+    def of(cls, section: BacklogSection, name: str, folder: Path, stats: BacklogStats) -> FiledBacklog:
+        """Return the backlog of a broker as configured; `name` tells its file from those of other brokers."""
+        limits = Limits(section.max_bytes, section.max_age, is_synced=section.sync)
+        return cls(backlog_path(section, name, folder), limits, stats)
+
     def start(self) -> None:
         """Begin; a file that is there is opened, and one that is not when there is something to keep."""
         self._loop = asyncio.get_running_loop()
