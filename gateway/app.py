@@ -130,7 +130,7 @@ class App:
         return Bridge(section, name, self.image, stats, self.clock, door=self.door, backlog=backlog)
 
     def _backlog(self, section: BrokerSection, name: str, stats: MqttStats) -> FiledBacklog | None:
-        """Make what keeps readings for a broker while it is away; each broker has its own, since each is away alone."""
+        """Make what keeps readings for a broker while it is away; each has its own, as each is away alone."""
         if not (section.store.enabled and self._keeps_backlogs):
             return None
         made = FiledBacklog.of(

@@ -31,7 +31,17 @@ class Kept(Running):
 
     def __init__(self, port: int, folder: Path, **settings: object) -> None:
         self.backlog = FiledBacklog(folder / "backlog.sqlite", LIMITS, BacklogStats(), QUICK)
-        super().__init__(port, backlog=self.backlog, **settings)
+        super().__init__(port, None, None, **settings)
+
+    def made_backlog(self) -> FiledBacklog:
+        """Return the backlog."""
+        return self.backlog
+
+    @property
+    def is_unsure(self) -> bool:
+        """Say whether anything was sent that the broker is not known to have."""
+        assert self.bridge._missed is not None
+        return self.bridge._missed.is_unsure
 
     async def read_on(self, first: int, count: int) -> list[str]:
         """Read frequencies one after another; return them as they are published."""
@@ -70,13 +80,15 @@ def values(payloads: list[str]) -> list[str]:
 async def test_what_a_broker_misses_comes_as_history(tmp_path: Path, qos: int, version: str) -> None:
     """All of it, in order, marked, not retained, at QoS 1; nothing of it at the topics of the present."""
     with Mosquitto() as broker:
-        async with kept(broker.port, tmp_path, qos=qos, version=version) as running:
+        async with Cable(broker.port) as cable, kept(cable.port, tmp_path, qos=qos, version=version) as running:
             await running.until(lambda: running.stats.is_connected)
-            broker.stop()
+            broker.kill()
             await running.until(lambda: not running.stats.is_connected)
+            cable.cut()
             missed = await running.read_on(FIRST, 30)
             broker.start()
             async with Subscriber(broker.port, f"{ROOT}/#") as subscriber:
+                await cable.plug()
                 await subscriber.until(lambda: len(subscriber.on(HISTORY)) == 30)
                 await running.until(lambda: running.backlog.stats.waiting == 0)
     assert values(subscriber.on(HISTORY)) == missed
@@ -92,7 +104,7 @@ async def test_what_a_broker_misses_comes_as_history(tmp_path: Path, qos: int, v
 
 async def test_live_values_go_first(tmp_path: Path) -> None:
     """After a connect all that is live, then what was missed; a live value overtakes the rest of it."""
-    async with Kept_with_a_cable(tmp_path, store={"rate": 40.0}) as (running, cable, subscriber):
+    async with with_a_cable(tmp_path, store={"rate": 40.0}) as (running, cable, subscriber):
         cable.cut()
         await running.until(lambda: not running.stats.is_connected)
         await running.read_on(FIRST, 20)
@@ -113,9 +125,7 @@ async def test_live_values_go_first(tmp_path: Path) -> None:
 
 
 @contextlib.asynccontextmanager
-async def Kept_with_a_cable(  # noqa: N802
-    folder: Path, **settings: object
-) -> AsyncIterator[tuple[Kept, Cable, Subscriber]]:
+async def with_a_cable(folder: Path, **settings: object) -> AsyncIterator[tuple[Kept, Cable, Subscriber]]:
     """Run a bridge with a backlog through a cable, connected, and a subscriber that has none."""
     with Mosquitto() as broker:
         async with (
@@ -132,20 +142,23 @@ async def test_what_a_dying_connection_swallows_is_not_lost(tmp_path: Path, qos:
     """Written to the socket, never read by the broker: it is kept when the connection is lost, at QoS 0 as well."""
     with Mosquitto() as broker:
         async with (
+            Cable(broker.port) as cable,
             Subscriber(broker.port, "tosvert/#") as subscriber,
-            kept(broker.port, tmp_path, qos=qos, keep_alive="1s") as running,
+            kept(cable.port, tmp_path, qos=qos, keep_alive="1s") as running,
         ):
             await running.until(lambda: running.stats.is_connected)
             await running.read_on(FIRST, 1)
             await subscriber.until_payload(FREQUENCY, "30.00")
-            await running.until(lambda: not running.bridge._missed.is_unsure)
+            await running.until(lambda: not running.is_unsure)
             broker.freeze()
             swallowed = await running.read_on(FIRST + 1, 5)
             running.pump.set_link(LinkState.OFFLINE, "unplugged")
             await running.until(lambda: not running.stats.is_connected)
+            cable.cut()
             broker.kill()
             broker.start()
             async with Subscriber(broker.port, "tosvert/#") as again:
+                await cable.plug()
                 await again.until(lambda: bool(again.on(EVENT)) and len(again.on(HISTORY)) == 6)
     assert values(again.on(HISTORY)) == [*swallowed, None]
     assert json.loads(again.on(HISTORY)[-1])["quality"] == "offline"
@@ -156,10 +169,10 @@ async def test_what_a_dying_connection_swallows_is_not_lost(tmp_path: Path, qos:
 
 async def test_what_the_broker_has_is_not_told_again(tmp_path: Path) -> None:
     """Neither after a loss of the connection nor after an end in order."""
-    async with Kept_with_a_cable(tmp_path) as (running, cable, subscriber):
+    async with with_a_cable(tmp_path) as (running, cable, subscriber):
         told = await running.read_on(FIRST, 10)
         await subscriber.until_payload(FREQUENCY, told[-1])
-        await running.until(lambda: not running.bridge._missed.is_unsure)
+        await running.until(lambda: not running.is_unsure)
         cable.cut()
         await running.until(lambda: not running.stats.is_connected)
         await cable.plug()
