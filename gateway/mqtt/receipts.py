@@ -21,20 +21,26 @@ class Receipts:
         self._outgoing = outgoing
         self._mark: int | None = None  # messages handed over when it was asked; None: nothing is asked
         self._ask_at = float("-inf")
+        self._has_to_wait = False  # for the answer to a ping of paho's own, which keeps the connection alive
 
     def ask(self, now: float) -> None:
         """Ask whether the broker has all that was handed over; a flush writes the question."""
-        outgoing = self._outgoing
-        if not outgoing.needs_ping or outgoing.there >= outgoing.handed or now < self._ask_at:
+        outgoing, client = self._outgoing, self._client
+        if not outgoing.needs_ping or outgoing.there >= outgoing.handed or self._mark is not None:
             return
-        if self._mark is None and not self._client._ping_t:  # one of paho's own may be under way
-            self._mark, self._ask_at = outgoing.handed, now + BETWEEN
-            self._client._send_pingreq()
+        if client._ping_t:
+            self._has_to_wait = True
+        elif now >= self._ask_at:
+            client._send_pingreq()
+            self._mark = outgoing.handed if client._ping_t else None
+            self._ask_at = now + BETWEEN
 
     def look(self) -> bool:
         """Take an answer that has come; say whether one has."""
-        if self._mark is None or self._client._ping_t:
+        if self._client._ping_t or not (self._has_to_wait or self._mark is not None):
             return False
-        self._outgoing.there = self._mark
-        self._mark = None
+        self._has_to_wait = False
+        if self._mark is not None:
+            self._outgoing.there = self._mark
+            self._mark = None
         return True
