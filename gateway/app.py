@@ -14,7 +14,7 @@ from gateway.bus.line import Opener
 from gateway.bus.serial_line import open_line
 from gateway.bus.worker import LineWorker
 from gateway.clock import Clock, SystemClock
-from gateway.config import BrokerSection, MqttSection
+from gateway.config import BrokerSection, MqttSection, SparkplugSection
 from gateway.control.command import Result
 from gateway.control.door import Door, LineBell
 from gateway.control.ledger import Ledger
@@ -100,19 +100,7 @@ class App:
         self.backlogs: list[FiledBacklog] = []
         self.stats.brokers = {section.origin: MqttStats() for section in config.brokers}
         self.bridges = [self._bridge(section) for section in config.brokers]
-        self.edge_node = (
-            EdgeNode(
-                config.sparkplug,
-                config.gateway.name,
-                self.image,
-                self.stats.sparkplug,
-                self.clock,
-                door=self.door,
-                keeper=self.store,
-            )
-            if config.sparkplug
-            else None
-        )
+        self.edge_node = self._edge_node(config.sparkplug) if config.sparkplug else None
         self.modbus_tcp = (
             ModbusTcpServer(config.modbus_tcp, self.image, self.stats, self.clock, door=self.door)
             if config.modbus_tcp
@@ -128,6 +116,13 @@ class App:
         backlog = self._backlog(section, f"mqtt-{section.origin}" if section.origin else "mqtt", stats)
         name = self.site.config.gateway.name
         return Bridge(section, name, self.image, stats, self.clock, door=self.door, backlog=backlog)
+
+    def _edge_node(self, section: SparkplugSection) -> EdgeNode:
+        stats, name = self.stats.sparkplug, self.site.config.gateway.name
+        backlog = self._backlog(section, "sparkplug", stats)
+        return EdgeNode(
+            section, name, self.image, stats, self.clock, door=self.door, keeper=self.store, backlog=backlog
+        )
 
     def _backlog(self, section: BrokerSection, name: str, stats: MqttStats) -> FiledBacklog | None:
         """Make what keeps readings for a broker while it is away; each has its own, as each is away alone."""
