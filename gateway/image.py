@@ -7,10 +7,10 @@ an old number is never handed out as if it were new.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from decimal import Decimal
 from enum import Enum, IntEnum
 from functools import partial
+from typing import NamedTuple
 
 from gateway.drives.register import Derived
 from gateway.segment import NEVER, Segment
@@ -63,8 +63,7 @@ class Missing(Enum):
     NOT_FITTING = "the value does not fit the type that it is mapped as"
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
+class Sample(NamedTuple):
     """A value at one moment: its word, quality, age in seconds, and UTC source time in seconds (0: none)."""
 
     word: int

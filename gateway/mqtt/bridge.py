@@ -136,7 +136,7 @@ class Bridge(Uplink):
             if self._missed is not None:
                 self._missed.note(image, names, self._mark(connection, was_sent=has_room))
             self._tell_events(events)
-            connection.flush()
+            connection.flush_soon()
         except Exception as error:
             connection.fail(error)
         if self._publisher.is_owing:

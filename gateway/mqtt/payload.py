@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from datetime import UTC, datetime
 
 from gateway.image import DriveImage, Quality, Sample
@@ -38,7 +37,7 @@ def text(image: DriveImage, name: str, sample: Sample) -> str:
 
 def left_behind(sample: Sample) -> Sample:
     """Return what a sample is to others once the gateway has gone: whatever was read is offline."""
-    return replace(sample, quality=max(sample.quality, Quality.OFFLINE))
+    return sample._replace(quality=max(sample.quality, Quality.OFFLINE))
 
 
 def timestamp(wall: float) -> str:

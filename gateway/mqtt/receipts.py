@@ -31,6 +31,7 @@ class Receipts:
         if client._ping_t:
             self._has_to_wait = True
         elif now >= self._ask_at:
+            outgoing.push()
             client._send_pingreq()
             self._mark = outgoing.handed if client._ping_t else None
             self._ask_at = now + BETWEEN

@@ -142,7 +142,7 @@ class EdgeNode(Uplink):
             self.node.settle_drive(connection.outgoing, drive, moment)
             if self._missed is not None:
                 self._missed.note(image, names, self._mark(connection, was_sent=self.node.is_told(drive)))
-            connection.flush()
+            connection.flush_soon()
         except Exception as error:
             connection.fail(error)
         if self.node.is_owing(self._clock.now()):
