@@ -19,6 +19,7 @@ from gateway.sim.process import SimulatedLine
 from gateway.sim.settings import SimulatedLineConfig
 from tests.mosquitto import Mosquitto, Subscriber, free_port
 from tests.mqtt.rig import Cable
+from tests.soak import FACTOR
 from tests.test_end_to_end import LIMIT
 
 pytestmark = pytest.mark.e2e
@@ -129,7 +130,7 @@ async def test_killed_in_every_phase_it_loses_nothing_that_was_stored(tmp_path: 
         stored = first + await gateway.until("kept_total", first)
         gateway.kill()  # while it stores beside what was there
         left = stored
-        for _ in range(2):
+        for _ in range(FACTOR):
             await cable.plug()
             gateway.start()
             left = await gateway.until("waiting", 1, left - 5)
