@@ -112,25 +112,22 @@ class App:
         self._stop = asyncio.Event()
 
     def _bridge(self, section: MqttSection) -> Bridge:
-        stats = self.stats.brokers[section.origin]
-        backlog = self._backlog(section, f"mqtt-{section.origin}" if section.origin else "mqtt", stats)
-        name = self.site.config.gateway.name
+        stats, name = self.stats.brokers[section.origin], self.site.config.gateway.name
+        backlog = self._backlog(section, stats)
         return Bridge(section, name, self.image, stats, self.clock, door=self.door, backlog=backlog)
 
     def _edge_node(self, section: SparkplugSection) -> EdgeNode:
         stats, name = self.stats.sparkplug, self.site.config.gateway.name
-        backlog = self._backlog(section, "sparkplug", stats)
+        backlog = self._backlog(section, stats)
         return EdgeNode(
             section, name, self.image, stats, self.clock, door=self.door, keeper=self.store, backlog=backlog
         )
 
-    def _backlog(self, section: BrokerSection, name: str, stats: MqttStats) -> FiledBacklog | None:
+    def _backlog(self, section: BrokerSection, stats: MqttStats) -> FiledBacklog | None:
         """Make what keeps readings for a broker while it is away; each has its own, as each is away alone."""
         if not (section.store.enabled and self._keeps_backlogs):
             return None
-        made = FiledBacklog.of(
-            section.store, f"{self.site.config.gateway.name}-{name}", self.site.folder, stats.missed
-        )
+        made = FiledBacklog.of(section, self.site.config.gateway.name, self.site.folder, stats.missed)
         self.backlogs.append(made)
         return made
 

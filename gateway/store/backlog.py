@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from gateway.backlog import BacklogStats, Kept, Loss, Reading
-from gateway.config import BacklogSection
+from gateway.config import BacklogSection, BrokerSection, MqttSection
 from gateway.store.backlog_inbox import Question
 from gateway.store.backlog_schema import Limits
 from gateway.store.backlog_thread import BacklogPace, BacklogThread
@@ -22,9 +22,24 @@ from gateway.store.place import in_state_folder
 
 log = logging.getLogger("gateway.store")
 
+MIB, HOUR = 1024**2, 3600.0  # bytes, seconds
 CLOSE_WITHIN = 3.0  # seconds for what waits to be written when the gateway ends
 PACE = BacklogPace()
 SAID_AGAIN = 10_000  # readings dropped since the last warning
+
+
+def backlog_name(gateway: str, section: BrokerSection) -> str:
+    """Return what tells the file of one broker of one gateway from others: "hall-3-mqtt-cloud"."""
+    broker = section.name if isinstance(section, MqttSection) else None
+    return "-".join(filter(None, (gateway, section.table, broker)))
+
+
+def summary(section: BrokerSection, gateway: str, folder: Path) -> str:
+    """Say in a line what is kept for a broker while it is away."""
+    if not section.store.enabled:
+        return "nothing is kept while the broker is away"
+    path, size = backlog_path(section.store, backlog_name(gateway, section), folder), section.store.max_bytes / MIB
+    return f"kept while the broker is away: {path}, at most {size:.4g} MiB and {section.store.max_age / HOUR:.4g} h"
 
 
 def backlog_path(
@@ -51,10 +66,11 @@ class FiledBacklog:
         self._loop: asyncio.AbstractEventLoop | None = None
 
     @classmethod
-    def of(cls, section: BacklogSection, name: str, folder: Path, stats: BacklogStats) -> FiledBacklog:
-        """Return the backlog of a broker as configured; `name` tells its file from those of other brokers."""
-        limits = Limits(section.max_bytes, section.max_age, is_synced=section.sync)
-        return cls(backlog_path(section, name, folder), limits, stats)
+    def of(cls, section: BrokerSection, gateway: str, folder: Path, stats: BacklogStats) -> FiledBacklog:
+        """Return the backlog of a broker as configured."""
+        store = section.store
+        limits = Limits(store.max_bytes, store.max_age, is_synced=store.sync)
+        return cls(backlog_path(store, backlog_name(gateway, section), folder), limits, stats)
 
     def start(self) -> None:
         """Begin; a file that is there is opened, and one that is not when there is something to keep."""

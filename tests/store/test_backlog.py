@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from gateway.backlog import Loss
-from gateway.config import BacklogSection
+from gateway.config import BacklogSection, MqttSection, SparkplugSection
 from gateway.store import backlog_inbox
-from gateway.store.backlog import backlog_path
+from gateway.store.backlog import backlog_name, backlog_path, summary
 from gateway.store.backlog_file import BacklogFile
 from gateway.store.backlog_schema import PAGE, SPARE, Limits, fitting, kept_of, row_of, size_of, to_drop
 from gateway.store.place import beside
@@ -204,6 +204,18 @@ def test_the_file_is_where_it_is_configured_to_be(tmp_path: Path) -> None:
         "/var/lib/gateway/backlog-mqtt.sqlite"
     )
     assert backlog_path(BacklogSection(), "sparkplug", tmp_path, {}) == tmp_path / "backlog-sparkplug.sqlite"
+
+
+def test_each_broker_has_a_file_of_its_own(tmp_path: Path) -> None:
+    """By the names of gateway and broker; `check` says which, and how much it may hold."""
+    one = MqttSection.model_validate({"url": "mqtt://broker"})
+    cloud = MqttSection.model_validate({"url": "mqtt://broker", "name": "cloud"})
+    edge = SparkplugSection.model_validate({"url": "mqtt://broker", "group_id": "g", "store": {"enabled": False}})
+    names = [backlog_name("hall-3", section) for section in (one, cloud, edge)]
+    assert names == ["hall-3-mqtt", "hall-3-mqtt-cloud", "hall-3-sparkplug"]
+    told = summary(one, "hall-3", tmp_path)
+    assert told == f"kept while the broker is away: {tmp_path}/backlog-hall-3-mqtt.sqlite, at most 64 MiB and 168 h"
+    assert summary(edge, "hall-3", tmp_path) == "nothing is kept while the broker is away"
 
 
 def test_a_row_is_as_it_was_written_or_nothing() -> None:
