@@ -127,7 +127,7 @@ class App:
         """Make what keeps readings for a broker while it is away; each has its own, as each is away alone."""
         if not (section.store.enabled and self._keeps_backlogs):
             return None
-        made = FiledBacklog.of(section, self.site.config.gateway.name, self.site.folder, stats.missed)
+        made = FiledBacklog.of(self.site, section, stats.missed)
         self.backlogs.append(made)
         return made
 

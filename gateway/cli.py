@@ -147,7 +147,7 @@ def check_file(file: ConfigFile) -> None:
         typer.echo(f"\nMQTT topics{f' of {section.label}{way}' if section.name else way}")
         for topic in topics.overview(section, configured):
             typer.echo(f"  {topic}")
-        typer.echo(f"  {backlog.summary(section, configured.config.gateway.name, configured.folder)}")
+        typer.echo(f"  {backlog.summary(configured, section)}")
         if section.home_assistant.enabled:
             for topic in Discovery(section, configured.config.gateway.name, Image(configured.drives)).topics():
                 typer.echo(f"  {topic}")
@@ -155,8 +155,7 @@ def check_file(file: ConfigFile) -> None:
         typer.echo("\nSparkplug topics")
         for topic in sparkplug_topics.overview(configured.config.sparkplug, configured):
             typer.echo(f"  {topic}")
-        edge, name = configured.config.sparkplug, configured.config.gateway.name
-        typer.echo(f"  {backlog.summary(edge, name, configured.folder)}")
+        typer.echo(f"  {backlog.summary(configured, configured.config.sparkplug)}")
     if configured.config.modbus_tcp is not None:
         typer.echo("")
         for line in check_rights.report(configured):

@@ -245,7 +245,7 @@ class BacklogSection(Section):
     path: str | None = Field(
         None,
         min_length=1,
-        description="SQLite file; by default backlog-<names>.sqlite in $STATE_DIRECTORY, else beside this file",
+        description="SQLite file; by default backlog-<names>.sqlite in the folder of the file of [store]",
     )
     max_bytes: int = Field(64 * 1024**2, ge=1024**2, le=1024**4, description="of the file; the oldest go first")
     max_age: Duration = Field(seconds("168h"), ge=1, description="older is dropped")

@@ -99,6 +99,7 @@ class DriveImage:
         self._name_at = {point.register.address: name for name, point in self.points.items()}
         self._segments: list[Segment] = []
         self._at: dict[int, tuple[Segment, int]] = {}
+        self._places: dict[str, tuple[Segment, int, str | None]] = {}  # by value, and what a derived one needs
         self._swept: dict[str, Quality] = dict.fromkeys(self.points, Quality.NEVER_READ)
         self._lay_out()
 
@@ -113,6 +114,10 @@ class DriveImage:
             segment = Segment(len(run))
             self._segments.append(segment)
             self._at.update((address, (segment, offset)) for offset, address in enumerate(run))
+        for name, point in self.points.items():
+            self._places[name] = (*self._at[point.register.address], None)
+        for name, derived in self.derived.items():
+            self._places[name] = (*self._at[self.points[derived.of].register.address], derived.base)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -235,13 +240,11 @@ class DriveImage:
 
     def sample(self, name: str, now: float) -> Sample:
         """Return a value as it is now; a derived value has the word of the register behind it."""
-        derived = self.derived.get(name)
-        register = self.points[derived.of if derived else name].register
-        segment, offset = self._at[register.address]
+        segment, offset, base = self._places[name]
         read_at = segment.read_at[offset]
-        if read_at == NEVER or (derived is not None and derived.base not in self.bases):
+        if read_at == NEVER or (base is not None and base not in self.bases):
             return Sample(0, Quality.NEVER_READ, float("inf"), 0.0)
-        word = int.from_bytes(segment.words[2 * offset : 2 * offset + 2], "big")
+        word = segment.words[2 * offset] << 8 | segment.words[2 * offset + 1]
         quality = Quality.GOOD
         if not self.link.is_connected:
             quality = Quality.OFFLINE

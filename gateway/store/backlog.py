@@ -14,11 +14,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from gateway.backlog import BacklogStats, Kept, Loss, Reading
-from gateway.config import BacklogSection, BrokerSection, MqttSection
+from gateway.config import BrokerSection, MqttSection
+from gateway.site import Site
 from gateway.store.backlog_inbox import Question
 from gateway.store.backlog_schema import Limits
 from gateway.store.backlog_thread import BacklogPace, BacklogThread
-from gateway.store.place import in_state_folder
+from gateway.store.store import store_path
 
 log = logging.getLogger("gateway.store")
 
@@ -34,19 +35,20 @@ def backlog_name(gateway: str, section: BrokerSection) -> str:
     return "-".join(filter(None, (gateway, section.table, broker)))
 
 
-def summary(section: BrokerSection, gateway: str, folder: Path) -> str:
+def backlog_path(site: Site, section: BrokerSection, environment: Mapping[str, str] = os.environ) -> Path:
+    """Return where the file is: as configured, else with the store, by the names of gateway and broker."""
+    if section.store.path is not None:
+        return site.folder / section.store.path
+    name = f"backlog-{backlog_name(site.config.gateway.name, section)}.sqlite"
+    return store_path(site.config.store, site.folder, environment).parent / name
+
+
+def summary(site: Site, section: BrokerSection, environment: Mapping[str, str] = os.environ) -> str:
     """Say in a line what is kept for a broker while it is away."""
     if not section.store.enabled:
         return "nothing is kept while the broker is away"
-    path, size = backlog_path(section.store, backlog_name(gateway, section), folder), section.store.max_bytes / MIB
+    path, size = backlog_path(site, section, environment), section.store.max_bytes / MIB
     return f"kept while the broker is away: {path}, at most {size:.4g} MiB and {section.store.max_age / HOUR:.4g} h"
-
-
-def backlog_path(
-    section: BacklogSection, name: str, folder: Path, environment: Mapping[str, str] = os.environ
-) -> Path:
-    """Return where the file is: as configured, else in $STATE_DIRECTORY, else in the configuration file's folder."""
-    return in_state_folder(section.path, f"backlog-{name}.sqlite", folder, environment)
 
 
 class FiledBacklog:
@@ -66,11 +68,10 @@ class FiledBacklog:
         self._loop: asyncio.AbstractEventLoop | None = None
 
     @classmethod
-    def of(cls, section: BrokerSection, gateway: str, folder: Path, stats: BacklogStats) -> FiledBacklog:
+    def of(cls, site: Site, section: BrokerSection, stats: BacklogStats) -> FiledBacklog:
         """Return the backlog of a broker as configured."""
         store = section.store
-        limits = Limits(store.max_bytes, store.max_age, is_synced=store.sync)
-        return cls(backlog_path(store, backlog_name(gateway, section), folder), limits, stats)
+        return cls(backlog_path(site, section), Limits(store.max_bytes, store.max_age, is_synced=store.sync), stats)
 
     def start(self) -> None:
         """Begin; a file that is there is opened, and one that is not when there is something to keep."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
-from collections.abc import Mapping
 from datetime import UTC, datetime
 from glob import escape
 from pathlib import Path
@@ -70,11 +69,3 @@ def sync(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def in_state_folder(path: str | None, name: str, folder: Path, environment: Mapping[str, str]) -> Path:
-    """Return where a file is: as configured, else in $STATE_DIRECTORY, else in the configuration file's folder."""
-    if path is not None:
-        return folder / path
-    state = environment.get("STATE_DIRECTORY", "").split(":")[0]  # systemd lists several with colons
-    return (Path(state) if state else folder) / name

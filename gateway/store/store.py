@@ -21,7 +21,6 @@ from gateway.control.ledger import Counted, Entry
 from gateway.control.wear import Key, Wear, last_write
 from gateway.site import Site
 from gateway.store.inbox import Write
-from gateway.store.place import in_state_folder
 from gateway.store.schema import Saved
 from gateway.store.thread import Pace, StoreThread
 
@@ -38,7 +37,10 @@ PACE = Pace()
 
 def store_path(section: StoreSection, folder: Path, environment: Mapping[str, str] = os.environ) -> Path:
     """Return where the file is: as configured, else in $STATE_DIRECTORY, else in the configuration file's folder."""
-    return in_state_folder(section.path, FILE, folder, environment)
+    if section.path is not None:
+        return folder / section.path
+    state = environment.get("STATE_DIRECTORY", "").split(":")[0]  # systemd lists several with colons
+    return (Path(state) if state else folder) / FILE
 
 
 def needs_store(site: Site) -> bool:

@@ -10,16 +10,20 @@ from pathlib import Path
 
 import pytest
 
+from gateway import site
 from gateway.backlog import Loss
-from gateway.config import BacklogSection, MqttSection, SparkplugSection
+from gateway.config import SparkplugSection
+from gateway.site import Site
 from gateway.store import backlog_inbox
 from gateway.store.backlog import backlog_name, backlog_path, summary
 from gateway.store.backlog_file import BacklogFile
 from gateway.store.backlog_schema import PAGE, SPARE, Limits, fitting, kept_of, row_of, size_of, to_drop
 from gateway.store.place import beside
+from tests.mqtt.rig import section
 from tests.store.backlogs import LIMITS, asked, reading, running
 from tests.store.rig import until
 from tests.store.test_processes import unprivileged
+from tests.web.rig import table
 
 
 @pytest.fixture
@@ -196,26 +200,33 @@ async def test_two_gateways_do_not_share_a_file(path: Path) -> None:
         assert len(await asked(first)) == 1
 
 
+def configured(folder: Path, **keys: object) -> Site:
+    """Return a site with further keys in its configuration."""
+    return site.build(table(**keys), "gateway.toml", folder)
+
+
 def test_the_file_is_where_it_is_configured_to_be(tmp_path: Path) -> None:
-    """Else in the state directory, else beside the configuration."""
+    """Else in the folder of the store: as configured, in the state directory, or beside the configuration."""
     environment = {"STATE_DIRECTORY": "/var/lib/gateway:/other"}
-    assert backlog_path(BacklogSection(path="x.sqlite"), "mqtt", tmp_path, environment) == tmp_path / "x.sqlite"
-    assert backlog_path(BacklogSection(), "mqtt", tmp_path, environment) == Path(
-        "/var/lib/gateway/backlog-mqtt.sqlite"
-    )
-    assert backlog_path(BacklogSection(), "sparkplug", tmp_path, {}) == tmp_path / "backlog-sparkplug.sqlite"
+    own = section(store={"path": "x.sqlite"})
+    plain, placed = configured(tmp_path), configured(tmp_path, store={"path": "/var/lib/store/state.sqlite"})
+    name = f"backlog-{plain.config.gateway.name}-mqtt.sqlite"
+    assert backlog_path(plain, own, environment) == tmp_path / "x.sqlite"
+    assert backlog_path(plain, section(), environment) == Path("/var/lib/gateway") / name
+    assert backlog_path(plain, section(), {}) == tmp_path / name
+    assert backlog_path(placed, section(), environment) == Path("/var/lib/store") / name
 
 
 def test_each_broker_has_a_file_of_its_own(tmp_path: Path) -> None:
     """By the names of gateway and broker; `check` says which, and how much it may hold."""
-    one = MqttSection.model_validate({"url": "mqtt://broker"})
-    cloud = MqttSection.model_validate({"url": "mqtt://broker", "name": "cloud"})
+    cloud = section(name="cloud")
     edge = SparkplugSection.model_validate({"url": "mqtt://broker", "group_id": "g", "store": {"enabled": False}})
-    names = [backlog_name("hall-3", section) for section in (one, cloud, edge)]
+    names = [backlog_name("hall-3", each) for each in (section(), cloud, edge)]
     assert names == ["hall-3-mqtt", "hall-3-mqtt-cloud", "hall-3-sparkplug"]
-    told = summary(one, "hall-3", tmp_path)
-    assert told == f"kept while the broker is away: {tmp_path}/backlog-hall-3-mqtt.sqlite, at most 64 MiB and 168 h"
-    assert summary(edge, "hall-3", tmp_path) == "nothing is kept while the broker is away"
+    plain = configured(tmp_path)
+    path = backlog_path(plain, cloud, {})
+    assert summary(plain, cloud, {}) == f"kept while the broker is away: {path}, at most 64 MiB and 168 h"
+    assert summary(plain, edge, {}) == "nothing is kept while the broker is away"
 
 
 def test_a_row_is_as_it_was_written_or_nothing() -> None:
