@@ -184,7 +184,7 @@ class Pinged:
 def outgoing() -> Outgoing:
     """Return a way to the broker on which two messages were handed over at QoS 0."""
     made = Outgoing.__new__(Outgoing)
-    made.needs_ping, made.handed, made.there = True, 2, 0
+    made.needs_ping, made.handed, made.there, made._batch = True, 2, 0, None
     return made
 
 
