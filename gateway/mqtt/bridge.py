@@ -62,7 +62,7 @@ class Bridge(Uplink):
             self._missed = Missed(backlog, image, lambda each: policies(section, each), forwarder, clock)
         image.subscribe(self._on_change)
         if door is not None and door.controls:
-            self._listener = Listener(section, gateway, door, stats, clock)
+            self._listener = Listener(section, gateway, door, stats, clock, self._tell_event)
             door.on_event(self._on_event)
             door.on_result(self._on_result)
 
@@ -153,21 +153,23 @@ class Bridge(Uplink):
             self._tell_events([event])
 
     def _tell_events(self, events: Sequence[Event]) -> None:
-        """Publish what happened to a drive; where that cannot be now it is kept for later, or counted."""
         for event in events:
-            topic = f"{self._section.base}/{self._gateway}/{event.drive}/{outcome.EVENT}"
-            text = outcome.event(event.kind, event.reason, self._clock.wall(), event.more)
-            connection, keeps = self._connection, self._missed is not None
-            was_told = connection is not None and connection.outgoing.say(
-                topic, text, expiry=FORGET, is_event=True, is_remembered=keeps
-            )
-            if self._missed is None:
-                self._stats.untold += not was_told
-            elif connection is not None and was_told:
-                mark, is_there = self._mark(connection, was_sent=True), connection.outgoing.last_event
-                self._missed.note_event(event.drive, text, mark, is_there)
-            else:
-                self._missed.note_event(event.drive, text, None)
+            self._tell_event(event.drive, outcome.event(event.kind, event.reason, self._clock.wall(), event.more))
+
+    def _tell_event(self, drive: str, text: str) -> None:
+        """Publish what happened to a drive; where that cannot be now it is kept for later, or counted."""
+        topic = f"{self._section.base}/{self._gateway}/{drive}/{outcome.EVENT}"
+        connection, keeps = self._connection, self._missed is not None
+        was_told = connection is not None and connection.outgoing.say(
+            topic, text, expiry=FORGET, is_event=True, is_remembered=keeps
+        )
+        if self._missed is None:
+            self._stats.untold += not was_told
+        elif connection is not None and was_told:
+            mark, is_there = self._mark(connection, was_sent=True), connection.outgoing.last_event
+            self._missed.note_event(drive, text, mark, is_there)
+        else:
+            self._missed.note_event(drive, text, None)
 
     # ---- what the broker has missed
 

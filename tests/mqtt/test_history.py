@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Sequence
+from decimal import Decimal
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.backlog import Kept, Kind, Reading
-from gateway.image import DriveImage, LinkState
+from gateway.backlog import BacklogStats, Kept, Kind, Reading
+from gateway.control.command import Channel, Command, Result, Source, Status, Verb
+from gateway.image import DriveImage, Image, LinkState
+from gateway.metrics import MqttStats
+from gateway.mqtt.bridge import Bridge
 from gateway.mqtt.filters import policies
 from gateway.mqtt.history import Historian
 from gateway.mqtt.outgoing import Outgoing
@@ -18,7 +23,8 @@ from gateway.mqtt.receipts import BETWEEN, Receipts
 from gateway.mqtt.sampling import Sampler
 from gateway.mqtt.unconfirmed import Unconfirmed
 from tests.mqtt import drives
-from tests.mqtt.rig import section
+from tests.mqtt.doors import LEASED, KeptDoor, small_site
+from tests.mqtt.rig import GATEWAY, SkippingClock, section
 
 ROOT = "tosvert/hall-3/pump-1/history"
 
@@ -237,3 +243,55 @@ def test_no_ping_is_sent_where_acknowledgements_come_or_nothing_is_open(outgoing
     outgoing.there, outgoing.needs_ping = 0, False
     receipts.ask(0.0)
     assert client.pings == 0
+
+
+class Stored:
+    """A backlog that keeps readings in a list."""
+
+    origin = "cafe0001"
+
+    def __init__(self) -> None:
+        self.stats = BacklogStats()
+        self.readings: list[Reading] = []
+
+    def put(self, reading: Reading) -> None:
+        """Keep a reading."""
+        self.readings.append(reading)
+
+    def ask(self, after: int, count: int, without: frozenset[str], then: Callable[[Sequence[Kept]], None]) -> None:
+        """Nobody asks while the broker is away."""
+        raise NotImplementedError
+
+    def let_go(self, numbers: Sequence[int]) -> None:
+        """Nobody has anything while the broker is away."""
+        raise NotImplementedError
+
+
+@pytest.mark.hazard("H12")
+@pytest.mark.hazard("H02")
+@pytest.mark.parametrize("verb", list(Verb))
+async def test_no_command_and_no_result_is_ever_kept(verb: Verb) -> None:
+    """Whatever ends while the broker is away; that a drive was reset is an event."""
+    clock, stored = SkippingClock(), Stored()
+    door = KeptDoor.small(clock)
+    door.is_prompt = True
+    image = Image(small_site().drives)
+    bridge = Bridge(section(), GATEWAY, image, MqttStats(), clock, door=door, backlog=stored)
+    asked, now = Source(Channel.MQTT, "hmi"), clock.now()
+    command = Command(LEASED, verb, asked, now, now + 1, value=Decimal(30), id="42")
+    door.submit(command, lambda _result: None)
+    bridge._on_result(Result(command, Status.DONE))
+    kept = [json.loads(reading.body) for reading in stored.readings]
+    assert [event["event"] for event in kept] == ["reset"] * len(kept)
+    assert bool(kept) is (verb is Verb.RESET)
+    assert {reading.kind for reading in stored.readings} <= {Kind.EVENT}
+
+
+async def test_what_happens_to_the_control_of_a_drive_is_kept() -> None:
+    """Who lost the lease while the broker was away is told later."""
+    clock, stored = SkippingClock(), Stored()
+    door = KeptDoor.small(clock)
+    Bridge(section(), GATEWAY, Image(small_site().drives), MqttStats(), clock, door=door, backlog=stored)
+    door._tell(LEASED, "lease_lost", "the heartbeat has stopped")
+    (event,) = [json.loads(reading.body) for reading in stored.readings]
+    assert (event["event"], event["reason"]) == ("lease_lost", "the heartbeat has stopped")
