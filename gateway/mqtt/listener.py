@@ -38,7 +38,7 @@ class Wire(Protocol):
 class Listener:
     """What controllers send to one gateway by one broker.
 
-    `tell` publishes an event of a drive, given as text, and keeps it where that cannot be now; by default none is kept.
+    `tell` publishes an event of a drive, as text, and keeps it where that cannot be now; by default none is kept.
     """
 
     def __init__(
