@@ -18,6 +18,7 @@ from gateway.mqtt.unconfirmed import Unconfirmed
 
 P = TypeVar("P")
 
+WHILE_LONG = 0.05  # seconds between looks whether they have become fewer
 SHORT = 16  # messages that may wait for the broker while it is sent what it has missed
 
 
@@ -142,9 +143,11 @@ class Missed(Generic[P]):
             self._backlog.stats.dropped[Loss.UNKNOWN] += bool(parcel.number)
         self._forwarder.sent(parcel, is_there or _yes)
 
-    def patience(self, now: float, most: float) -> float:
+    def patience(self, wire: Wire, now: float, most: float) -> float:
         """Return for how many seconds nothing need be looked at here."""
-        return self._forwarder.patience(now, most) if self._backlog.stats.waiting else most
+        if not self._backlog.stats.waiting:
+            return most
+        return min(most, WHILE_LONG) if wire.waiting >= SHORT else self._forwarder.patience(now, most)
 
 
 def _yes() -> bool:

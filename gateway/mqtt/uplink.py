@@ -200,7 +200,7 @@ class Uplink(ABC):
             elif are_waiting or self._has_posted(connection, now):
                 await asyncio.sleep(0)
             else:
-                await connection.wait(self._patience_with_missed(now), room=enough if is_owing else 0)
+                await connection.wait(self._patience_with_missed(wire, now), room=enough if is_owing else 0)
         if connection.lost is None:
             reason = self._farewell()
             await self._leave(connection)
@@ -231,11 +231,11 @@ class Uplink(ABC):
         connection.flush()
         return True
 
-    def _patience_with_missed(self, now: float) -> float:
+    def _patience_with_missed(self, wire: Outgoing, now: float) -> float:
         patience = self._patience(now)
         if self._missed is None or not self._may_post(now):
             return patience
-        return self._missed.patience(now, patience)
+        return self._missed.patience(wire, now, patience)
 
     def _wake(self) -> None:
         """Have what is owed sent when whoever tells of it has come to an end."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from decimal import Decimal
 from typing import Any
 
@@ -17,7 +18,9 @@ from gateway.image import DriveImage, Image, LinkState
 from gateway.metrics import MqttStats
 from gateway.mqtt.bridge import Bridge
 from gateway.mqtt.filters import policies
+from gateway.mqtt.forwarding import Forwarder, Parcel
 from gateway.mqtt.history import Historian
+from gateway.mqtt.missed import SHORT, Missed
 from gateway.mqtt.outgoing import Outgoing
 from gateway.mqtt.receipts import BETWEEN, Receipts
 from gateway.mqtt.sampling import Sampler
@@ -259,8 +262,7 @@ class Stored:
         self.readings.append(reading)
 
     def ask(self, after: int, count: int, without: frozenset[str], then: Callable[[Sequence[Kept]], None]) -> None:
-        """Nobody asks while the broker is away."""
-        raise NotImplementedError
+        """Answer never."""
 
     def let_go(self, numbers: Sequence[int]) -> None:
         """Nobody has anything while the broker is away."""
@@ -295,3 +297,30 @@ async def test_what_happens_to_the_control_of_a_drive_is_kept() -> None:
     door._tell(LEASED, "lease_lost", "the heartbeat has stopped")
     (event,) = [json.loads(reading.body) for reading in stored.readings]
     assert (event["event"], event["reason"]) == ("lease_lost", "the heartbeat has stopped")
+
+
+@dataclass
+class Way:
+    """A way to the broker on which some messages wait."""
+
+    waiting: int
+    handed: int = 0
+    there: int = 0
+
+
+def test_history_waits_while_much_that_is_live_does() -> None:
+    """And rests meanwhile, rather than to look again and again."""
+    stored = Stored()
+    stored.stats.waiting = 1
+    forwarder: Forwarder[Any] = Forwarder(10.0, lambda kept: [Parcel(kept, 1, kept.number)])
+    forwarder.begin()
+    question = forwarder.question(0.0)
+    assert question is not None
+    forwarder.take([Kept(1, Reading("pump-1", Kind.VALUES, 0, "{}"))], question[-1], 0.0)
+    image = drives.image()
+    missed = Missed(stored, image, lambda each: policies(section(), each), forwarder, SkippingClock())
+    assert forwarder.is_due(0.0)
+    assert not missed.is_due(Way(SHORT), 0.0)
+    assert missed.patience(Way(SHORT), 0.0, 1.0) > 0.01
+    assert missed.is_due(Way(SHORT - 1), 0.0)
+    assert missed.patience(Way(SHORT - 1), 0.0, 1.0) == 0.0
