@@ -59,7 +59,7 @@ class Feeder:
         while True:
             await asyncio.sleep(STEP)
             now = self.clock.now()
-            owed, before = min(owed + (now - before) * self.rate, self.rate), now
+            owed, before = min(owed + (now - before) * self.rate, self.rate), now  # 0 as soon as the pace is
             while owed >= 1:
                 for _ in range(AT_ONCE):
                     owed -= self._answer()

@@ -30,6 +30,7 @@ BROKER = ("allow_anonymous true", "set_tcp_nodelay true", "max_queued_messages 0
 DRIVES = 4  # on the line
 COUNTER = "bench.message_count"
 SETTLE = 1.0  # seconds
+QUIET = 2.0  # seconds without a message, after which none is on its way any more
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,18 +147,22 @@ def _loaded(setting: Setting, row: Row) -> Row:
     first = setting.counter.ask("count")
     time.sleep(SETTLE)
     second = setting.counter.ask("count")
-    fed = setting.gateway.ask(0.0)["fed"]
-    until(lambda: setting.counter.ask("count")["values"] >= fed or _is_at_rest(setting), "all that was fed")
-    last = setting.counter.ask("count")
-    heard = (second["values"] - first["values"]) / (second["time"] - first["time"])
-    missing = last["missing"] + setting.gateway.ask(0.0)["fed"] - last["values"]
-    return Row(row.qos, row.publish, row.asked, heard, missing, row.gateway, row.subscriber, row.counter, row.share)
-
-
-def _is_at_rest(setting: Setting) -> bool:
-    before = setting.counter.ask("count")["values"]
+    setting.gateway.ask(0.0)
     time.sleep(SETTLE)
-    return bool(setting.counter.ask("count")["values"] == before)
+    fed = setting.gateway.ask(0.0)["fed"]
+    heard = (second["values"] - first["values"]) / (second["time"] - first["time"])
+    lost = fed - _all_heard(setting, fed)
+    return Row(row.qos, row.publish, row.asked, heard, lost, row.gateway, row.subscriber, row.counter, row.share)
+
+
+def _all_heard(setting: Setting, fed: int) -> int:
+    """Return how many values were heard, when it is all of them, or no more have come for a while."""
+    before, heard = -1, 0
+    while before < heard < fed:
+        before = heard
+        time.sleep(QUIET)
+        heard = setting.counter.ask("count")["values"]
+    return heard
 
 
 HEAD = (
