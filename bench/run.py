@@ -15,6 +15,7 @@ BENCHMARKS: Mapping[str, Sequence[str]] = {  # with what makes them quick, and r
     "stop_latency": ("--quick",),
     "mqtt_latency": ("--quick",),
     "three_rates": ("--seconds", "6"),
+    "mqtt_throughput": ("--seconds", "2"),
     "dead_drives": ("--seconds", "2", "--dead", "0", "--dead", "7"),
     "many_lines": ("--seconds", "1", "--lines", "1", "--lines", "4"),
     "tcp_load": ("--runs", "1", "--seconds", "0.3", "--rounds", "1"),

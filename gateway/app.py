@@ -14,7 +14,7 @@ from gateway.bus.line import Opener
 from gateway.bus.serial_line import open_line
 from gateway.bus.worker import LineWorker
 from gateway.clock import Clock, SystemClock
-from gateway.config import MqttSection
+from gateway.config import BrokerSection, MqttSection, SparkplugSection
 from gateway.control.command import Result
 from gateway.control.door import Door, LineBell
 from gateway.control.ledger import Ledger
@@ -25,6 +25,7 @@ from gateway.modbus_tcp.server import ModbusTcpServer
 from gateway.mqtt.bridge import Bridge
 from gateway.site import Site
 from gateway.sparkplug.edge import EdgeNode
+from gateway.store.backlog import FiledBacklog
 from gateway.store.store import Store
 from gateway.trace.tracing import Tracing
 from gateway.web.server import WebServer
@@ -95,21 +96,11 @@ class App:
             self.door.on_event(tracing.on_event)
         for line, worker in zip(site.lines, self.workers, strict=True):
             self.door.connect(LineBell(line.name, tuple(d.name for d in line.drives), worker.ring, worker.announce))
+        self._keeps_backlogs = ledger is None  # who brings a ledger keeps what is kept
+        self.backlogs: list[FiledBacklog] = []
         self.stats.brokers = {section.origin: MqttStats() for section in config.brokers}
         self.bridges = [self._bridge(section) for section in config.brokers]
-        self.edge_node = (
-            EdgeNode(
-                config.sparkplug,
-                config.gateway.name,
-                self.image,
-                self.stats.sparkplug,
-                self.clock,
-                door=self.door,
-                keeper=self.store,
-            )
-            if config.sparkplug
-            else None
-        )
+        self.edge_node = self._edge_node(config.sparkplug) if config.sparkplug else None
         self.modbus_tcp = (
             ModbusTcpServer(config.modbus_tcp, self.image, self.stats, self.clock, door=self.door)
             if config.modbus_tcp
@@ -121,8 +112,24 @@ class App:
         self._stop = asyncio.Event()
 
     def _bridge(self, section: MqttSection) -> Bridge:
-        stats = self.stats.brokers[section.origin]
-        return Bridge(section, self.site.config.gateway.name, self.image, stats, self.clock, door=self.door)
+        stats, name = self.stats.brokers[section.origin], self.site.config.gateway.name
+        backlog = self._backlog(section, stats)
+        return Bridge(section, name, self.image, stats, self.clock, door=self.door, backlog=backlog)
+
+    def _edge_node(self, section: SparkplugSection) -> EdgeNode:
+        stats, name = self.stats.sparkplug, self.site.config.gateway.name
+        backlog = self._backlog(section, stats)
+        return EdgeNode(
+            section, name, self.image, stats, self.clock, door=self.door, keeper=self.store, backlog=backlog
+        )
+
+    def _backlog(self, section: BrokerSection, stats: MqttStats) -> FiledBacklog | None:
+        """Make what keeps readings for a broker while it is away; each has its own, as each is away alone."""
+        if not (section.store.enabled and self._keeps_backlogs):
+            return None
+        made = FiledBacklog.of(self.site, section, stats.missed)
+        self.backlogs.append(made)
+        return made
 
     def _count_event(self, drive: str, event: str, _reason: str) -> None:
         self.stats.drives[drive].events[event] += 1
@@ -175,6 +182,8 @@ class App:
         started = []
         if self.store is not None:
             self.store.start()
+        for backlog in self.backlogs:
+            backlog.start()
         if self._tracing is not None:
             loop.add_signal_handler(signal.SIGUSR1, self._tracing.write_now)
             await self._tracing.start()
@@ -192,6 +201,8 @@ class App:
             finally:
                 if self._tracing is not None:
                     await self._tracing.stop()
+                for backlog in self.backlogs:
+                    await backlog.close()
                 if self.store is not None:
                     await self.store.close()
 

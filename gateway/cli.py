@@ -26,6 +26,7 @@ from gateway.mqtt import topics
 from gateway.mqtt.discovery import Discovery
 from gateway.sim import runner, settings
 from gateway.sparkplug import topics as sparkplug_topics
+from gateway.store import backlog
 from gateway.store import commands as store
 from gateway.trace import commands as trace
 from gateway.trace.tracing import Tracing
@@ -146,6 +147,7 @@ def check_file(file: ConfigFile) -> None:
         typer.echo(f"\nMQTT topics{f' of {section.label}{way}' if section.name else way}")
         for topic in topics.overview(section, configured):
             typer.echo(f"  {topic}")
+        typer.echo(f"  {backlog.summary(configured, section)}")
         if section.home_assistant.enabled:
             for topic in Discovery(section, configured.config.gateway.name, Image(configured.drives)).topics():
                 typer.echo(f"  {topic}")
@@ -153,6 +155,7 @@ def check_file(file: ConfigFile) -> None:
         typer.echo("\nSparkplug topics")
         for topic in sparkplug_topics.overview(configured.config.sparkplug, configured):
             typer.echo(f"  {topic}")
+        typer.echo(f"  {backlog.summary(configured, configured.config.sparkplug)}")
     if configured.config.modbus_tcp is not None:
         typer.echo("")
         for line in check_rights.report(configured):

@@ -238,6 +238,20 @@ class HomeAssistantSection(Section):
         False, description="true: an automation sends heartbeats, so that it may hold the lease of a leased drive"
     )
 
+class BacklogSection(Section):
+    """What is kept of readings while the broker is away, and sent afterwards as history; never commands."""
+
+    enabled: bool = True
+    path: str | None = Field(
+        None,
+        min_length=1,
+        description="SQLite file; by default backlog-<names>.sqlite in the folder of the file of [store]",
+    )
+    max_bytes: int = Field(64 * 1024**2, ge=1024**2, le=1024**4, description="of the file; the oldest go first")
+    max_age: Duration = Field(seconds("168h"), ge=1, description="older is dropped")
+    rate: float = Field(500.0, ge=1, le=100_000, description="values a second that are sent afterwards, at the most")
+    sync: bool = Field(True, description="what is stored outlasts a loss of power; false: only the process's end")
+
 class BrokerSection(Section):
     """A connection to a broker; `table` is the key of the section, by which errors name what to change."""
 
@@ -256,6 +270,7 @@ class BrokerSection(Section):
     command_max_age: Duration = Field(
         seconds("2s"), gt=0, le=60, description="a command that says it is older is refused"
     )
+    store: BacklogSection = BacklogSection()
 
     @property
     def label(self) -> str:

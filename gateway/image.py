@@ -7,10 +7,10 @@ an old number is never handed out as if it were new.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from decimal import Decimal
 from enum import Enum, IntEnum
 from functools import partial
+from typing import NamedTuple
 
 from gateway.drives.register import Derived
 from gateway.segment import NEVER, Segment
@@ -63,8 +63,7 @@ class Missing(Enum):
     NOT_FITTING = "the value does not fit the type that it is mapped as"
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
+class Sample(NamedTuple):
     """A value at one moment: its word, quality, age in seconds, and UTC source time in seconds (0: none)."""
 
     word: int
@@ -100,6 +99,7 @@ class DriveImage:
         self._name_at = {point.register.address: name for name, point in self.points.items()}
         self._segments: list[Segment] = []
         self._at: dict[int, tuple[Segment, int]] = {}
+        self._places: dict[str, tuple[Segment, int, str | None]] = {}  # by value, and what a derived one needs
         self._swept: dict[str, Quality] = dict.fromkeys(self.points, Quality.NEVER_READ)
         self._lay_out()
 
@@ -114,6 +114,10 @@ class DriveImage:
             segment = Segment(len(run))
             self._segments.append(segment)
             self._at.update((address, (segment, offset)) for offset, address in enumerate(run))
+        for name, point in self.points.items():
+            self._places[name] = (*self._at[point.register.address], None)
+        for name, derived in self.derived.items():
+            self._places[name] = (*self._at[self.points[derived.of].register.address], derived.base)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -236,13 +240,11 @@ class DriveImage:
 
     def sample(self, name: str, now: float) -> Sample:
         """Return a value as it is now; a derived value has the word of the register behind it."""
-        derived = self.derived.get(name)
-        register = self.points[derived.of if derived else name].register
-        segment, offset = self._at[register.address]
+        segment, offset, base = self._places[name]
         read_at = segment.read_at[offset]
-        if read_at == NEVER or (derived is not None and derived.base not in self.bases):
+        if read_at == NEVER or (base is not None and base not in self.bases):
             return Sample(0, Quality.NEVER_READ, float("inf"), 0.0)
-        word = int.from_bytes(segment.words[2 * offset : 2 * offset + 2], "big")
+        word = segment.words[2 * offset] << 8 | segment.words[2 * offset + 1]
         quality = Quality.GOOD
         if not self.link.is_connected:
             quality = Quality.OFFLINE

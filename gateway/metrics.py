@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from itertools import accumulate
 from math import ceil
 
+from gateway.backlog import BacklogStats
+
 ANSWER_BOUNDS = (0.005, 0.01, 0.015, 0.02, 0.03, 0.05, 0.1, 0.25, 0.5, 1.0)  # seconds
 QUANTILES = (0.5, 0.95, 0.99)
 LATEST = 1024  # answers of one drive that quantiles are taken from: 25 s of a drive that has its line to itself
@@ -155,7 +157,7 @@ class MqttStats:
     """The MQTT side, and what controllers send by it.
 
     `ignored` counts messages that mean nothing, `refused`, by reason, commands that did not come to the door, and
-    `untold` results and events that could not be told.
+    `untold` results and events that could not be told. `missed` counts what is kept while the broker is away.
     """
 
     is_connected: bool = False
@@ -168,6 +170,7 @@ class MqttStats:
     refused: Counter[str] = field(default_factory=Counter)
     untold: int = 0
     waiting: int = 0
+    missed: BacklogStats = field(default_factory=BacklogStats)
 
 
 @dataclass(slots=True)

@@ -104,7 +104,7 @@ class Register:
 
     def format(self, word: int) -> str:
         """Return the engineering value as text with the scale's decimals: 6000 at 0.01 is "60.00"."""
-        return f"{self.decode(word):.{self.scaling.digits}f}"
+        return self.scaling.format(word & self.mask)
 
     def text(self, word: int) -> str | None:
         """Say a bit field's set bits, or a code's name and text, in words; None for a plain number."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from decimal import Decimal
 
 from gateway.errors import GatewayError
@@ -25,11 +25,15 @@ class Scaling:
     scale: Decimal = Decimal(1)
     signed: bool = False
 
-    @property
-    def digits(self) -> int:
-        """Count the decimals that the scale gives: 0.01 has 2."""
+    digits: int = field(init=False, repr=False, compare=False)  # decimals that the scale gives: 0.01 has 2
+    _counts: int = field(init=False, repr=False, compare=False)  # in one unit, 100 at 0.01; 0 where that is not whole
+
+    def __post_init__(self) -> None:
         exponent = self.scale.normalize().as_tuple().exponent
-        return max(0, -exponent) if isinstance(exponent, int) else 0
+        digits = max(0, -exponent) if isinstance(exponent, int) else 0
+        is_decimal = self.scale == Decimal(1).scaleb(-digits)
+        object.__setattr__(self, "digits", digits)
+        object.__setattr__(self, "_counts", 10**digits if is_decimal else 0)
 
     @property
     def limits(self) -> tuple[int, int]:
@@ -43,6 +47,16 @@ class Scaling:
     def decode(self, word: int) -> Decimal:
         """Raw word to engineering value, exactly: 6000 at 0.01 is 60.00."""
         return self.raw(word) * self.scale
+
+    def format(self, word: int) -> str:
+        """Raw word to text with the scale's decimals: 6000 at 0.01 is "60.00"."""
+        counts, raw = self._counts, self.raw(word)
+        if not counts:
+            return f"{raw * self.scale:.{self.digits}f}"
+        if counts == 1:
+            return str(raw)
+        whole, part = divmod(abs(raw), counts)
+        return f"{'-' if raw < 0 else ''}{whole}.{part:0{self.digits}d}"
 
     def encode(self, value: Decimal) -> int:
         """Engineering value to raw word; OutOfRange where it does not fit exactly into one word."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
+from gateway.backlog import Backlog
 from gateway.clock import Clock
 from gateway.config import MqttSection
 from gateway.control.command import Result
@@ -15,11 +16,15 @@ from gateway.mqtt import client, outcome
 from gateway.mqtt.client import Introduction
 from gateway.mqtt.connection import Connection
 from gateway.mqtt.events import Event, Events, of_result
+from gateway.mqtt.filters import policies
+from gateway.mqtt.forwarding import Forwarder
+from gateway.mqtt.history import Historian
 from gateway.mqtt.listener import FORGET, Listener
 from gateway.mqtt.made import BrokerAway
 from gateway.mqtt.message import Message
+from gateway.mqtt.missed import Missed
 from gateway.mqtt.outgoing import Outgoing
-from gateway.mqtt.publisher import Publisher
+from gateway.mqtt.publisher import PER_VALUE, Publisher
 from gateway.mqtt.uplink import Uplink
 
 STEPS = 4  # owed values sent at a stretch: some 0.2 ms, so that a line's timing does not suffer
@@ -28,7 +33,8 @@ STEPS = 4  # owed values sent at a stretch: some 0.2 ms, so that a line's timing
 class Bridge(Uplink):
     """Publishes the image to one broker, from `run` until it is cancelled.
 
-    While the broker is away nothing is kept for it: after each connect the whole image is published as it is then.
+    After each connect the whole image is published as it is then. What the broker has missed, where there is a
+    `backlog`, comes behind that, as history.
     """
 
     def __init__(
@@ -40,6 +46,7 @@ class Bridge(Uplink):
         clock: Clock,
         chance: random.Random | None = None,
         door: Door | None = None,
+        backlog: Backlog | None = None,
     ) -> None:
         super().__init__(section, stats, clock, chance)
         self.name = section.origin
@@ -49,9 +56,13 @@ class Bridge(Uplink):
         self._publisher = Publisher(section, gateway, image, stats, door.controls if door is not None else {})
         self._events = Events(image)
         self._listener: Listener | None = None
+        if backlog is not None:
+            historian = Historian(section, gateway, backlog)
+            forwarder = Forwarder(section.store.rate, historian.unpack)
+            self._missed = Missed(backlog, image, lambda each: policies(section, each), forwarder, clock)
         image.subscribe(self._on_change)
         if door is not None and door.controls:
-            self._listener = Listener(section, gateway, door, stats, clock)
+            self._listener = Listener(section, gateway, door, stats, clock, self._tell_event)
             door.on_event(self._on_event)
             door.on_result(self._on_result)
 
@@ -100,6 +111,8 @@ class Bridge(Uplink):
 
     def _look(self, now: float) -> None:
         self._publisher.look(now)
+        if self._missed is not None:
+            self._missed.look(None if self._connection is None else self._connection.outgoing.handed)
         self._tell_events(self._events.look(now))
 
     def _is_owing(self, _now: float) -> bool:
@@ -113,12 +126,17 @@ class Bridge(Uplink):
         connection, now = self._connection, self._clock.now()
         events = self._events.notice(image, names, now)
         if connection is None:
+            if self._missed is not None:
+                self._missed.note(image, names, None)
             self._tell_events(events)
             return
         try:
+            has_room = connection.outgoing.room > PER_VALUE * (len(names) or len(image.names))
             self._publisher.tell(connection.outgoing, image, names, now)
+            if self._missed is not None:
+                self._missed.note(image, names, self._mark(connection, was_sent=has_room))
             self._tell_events(events)
-            connection.flush()
+            connection.flush_soon()
         except Exception as error:
             connection.fail(error)
         if self._publisher.is_owing:
@@ -135,13 +153,28 @@ class Bridge(Uplink):
             self._tell_events([event])
 
     def _tell_events(self, events: Sequence[Event]) -> None:
-        """Publish what happened to a drive; where that cannot be now it is counted, and not kept."""
         for event in events:
-            topic = f"{self._section.base}/{self._gateway}/{event.drive}/{outcome.EVENT}"
-            text = outcome.event(event.kind, event.reason, self._clock.wall(), event.more)
-            connection = self._connection
-            if connection is None or not connection.outgoing.say(topic, text, expiry=FORGET, is_event=True):
-                self._stats.untold += 1
+            self._tell_event(event.drive, outcome.event(event.kind, event.reason, self._clock.wall(), event.more))
+
+    def _tell_event(self, drive: str, text: str) -> None:
+        """Publish what happened to a drive; where that cannot be now it is kept for later, or counted."""
+        topic = f"{self._section.base}/{self._gateway}/{drive}/{outcome.EVENT}"
+        connection, keeps = self._connection, self._missed is not None
+        was_told = connection is not None and connection.outgoing.say(
+            topic, text, expiry=FORGET, is_event=True, is_remembered=keeps
+        )
+        if self._missed is None:
+            self._stats.untold += not was_told
+        elif connection is not None and was_told:
+            mark, is_there = self._mark(connection, was_sent=True), connection.outgoing.last_event
+            self._missed.note_event(drive, text, mark, is_there)
+        else:
+            self._missed.note_event(drive, text, None)
+
+    # ---- what the broker has missed
+
+    def _post(self, wire: Outgoing, what: tuple[str, str]) -> Callable[[], bool] | None:
+        return wire.post(*what)
 
     def _say_farewell(self, wire: Outgoing) -> None:
         self._publisher.leave(wire, self._clock.now())

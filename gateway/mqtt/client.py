@@ -74,8 +74,8 @@ def _connect(section: BrokerSection, introduced: Introduction, in_flight: int) -
         raise BrokerAway(reasons.of_error(str(error), section.table)) from error
     if section.version == "5":
         reason = LEFT_WITH_WILL if introduced.wills_at_leave else None
-        return Made(client, errors, _Expiry, _correlated, reason)
-    return Made(client, errors, _nothing, _nothing)
+        return Made(client, errors, _Expiry, _correlated, True, reason)
+    return Made(client, errors, _nothing, _nothing, False)
 
 
 class _Client(Client):

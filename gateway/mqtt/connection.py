@@ -15,9 +15,11 @@ from gateway.metrics import MqttStats
 from gateway.mqtt import reasons
 from gateway.mqtt.made import BrokerAway, Made, Terms, close
 from gateway.mqtt.outgoing import Outgoing
+from gateway.mqtt.receipts import Receipts
 from gateway.mqtt.reception import Ears, Reception
 from gateway.mqtt.socket_loop import SocketLoop
 
+PILED_UP = 64  # messages that are written at once
 ANSWER_LIMIT = 10.0  # seconds from CONNECT to CONNACK
 LEAVE_LIMIT = 2.0  # seconds from the last words to the end
 NO_RECEIVE_MAXIMUM = 65_535  # messages of QoS 1 and 2 under way (MQTT 5 3.2.2.3.3)
@@ -56,6 +58,7 @@ class Connection:
         self._reception = Reception(made.client, stats, section)
         self._socket = SocketLoop(made.client, self._reception, self)
         self.outgoing = Outgoing(made, section, stats, self._socket.write_soon)
+        self.receipts = Receipts(made.client, self.outgoing)
         self._news = asyncio.Event()
         self._wanted_room = 0
         self._error: Exception | None = None
@@ -106,11 +109,20 @@ class Connection:
 
     def flush(self) -> None:
         """Write what was sent to the socket, now; what it does not take is written as soon as it does."""
-        is_all_written = self._socket.write(self.outgoing.unwritten)
+        self.outgoing.push()
         self.outgoing.unwritten = 0
-        self.outgoing.count(is_all_written=is_all_written)
-        if self._wanted_room and self.outgoing.room >= self._wanted_room:
+        is_all_written = self._socket.write()
+        is_news = self.outgoing.count(is_all_written=is_all_written)
+        is_news |= self.receipts.look()
+        if is_news or (self._wanted_room and self.outgoing.room >= self._wanted_room):
             self._news.set()
+
+    def flush_soon(self) -> None:
+        """Write what was sent when whoever sends has come to an end, together with what others send meanwhile."""
+        if self.outgoing.unwritten >= PILED_UP:
+            self.flush()
+        else:
+            self._socket.write_soon()
 
     def tend(self) -> None:
         """Keep the connection alive, or find that it is not."""
@@ -159,6 +171,7 @@ class Connection:
         """Wait until all is sent, then disconnect in order."""
         while not self.outgoing.is_empty and self.lost is None:
             await self.wait(LEAVE_LIMIT, room=self.outgoing.capacity)
+        self.outgoing.push()
         self._client.disconnect(self._last_reason)
         while self.lost is None:
             self.flush()

@@ -5,6 +5,7 @@ Messages are read as they come, so that a stop is never behind others; `intake` 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Protocol
 
@@ -35,9 +36,21 @@ class Wire(Protocol):
 
 
 class Listener:
-    """What controllers send to one gateway by one broker."""
+    """What controllers send to one gateway by one broker.
 
-    def __init__(self, section: MqttSection, gateway: str, door: Door, stats: MqttStats, clock: Clock) -> None:
+    `tell` publishes an event of a drive, as text, and keeps it where that cannot be now; by default none is kept.
+    """
+
+    def __init__(
+        self,
+        section: MqttSection,
+        gateway: str,
+        door: Door,
+        stats: MqttStats,
+        clock: Clock,
+        tell: Callable[[str, str], None] | None = None,
+    ) -> None:
+        self._tell = tell
         self._root = f"{section.base}/{gateway}/"
         self._max_age = section.command_max_age
         self._takes_commands = section.commands
@@ -121,7 +134,11 @@ class Listener:
         self._say(f"{result.command.drive}/{outcome.RESULT}", outcome.result(result, self._clock.wall()))
 
     def _on_event(self, drive: str, event: str, reason: str) -> None:
-        self._say(f"{drive}/{outcome.EVENT}", outcome.event(event, reason, self._clock.wall()), is_event=True)
+        text = outcome.event(event, reason, self._clock.wall())
+        if self._tell is not None:
+            self._tell(drive, text)
+        else:
+            self._say(f"{drive}/{outcome.EVENT}", text, is_event=True)
 
     def _say(self, topic: str, text: str, *, is_event: bool = False) -> None:
         """Publish what happened, with its time; it is counted, and not kept, where that cannot be now."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from datetime import UTC, datetime
 
 from gateway.image import DriveImage, Quality, Sample
@@ -38,7 +37,7 @@ def text(image: DriveImage, name: str, sample: Sample) -> str:
 
 def left_behind(sample: Sample) -> Sample:
     """Return what a sample is to others once the gateway has gone: whatever was read is offline."""
-    return replace(sample, quality=max(sample.quality, Quality.OFFLINE))
+    return sample._replace(quality=max(sample.quality, Quality.OFFLINE))
 
 
 def timestamp(wall: float) -> str:
@@ -60,39 +59,48 @@ class StateWriter:
     def __init__(self, image: DriveImage) -> None:
         self._image = image
         self._parts: dict[str, tuple[object, str]] = {}
+        self._keys = {name: _keys(image, name) for name in image.names}
 
     def write(self, now: float, *, is_leaving: bool = False) -> str:
         """Return the state as it is now, or as it is for others once the gateway has gone."""
         image = self._image
         worst, newest = Quality.GOOD, 0.0
         parts = []
-        for name in image.names:
+        for name in self._keys:
             sample = image.sample(name, now)
             if is_leaving:
                 sample = left_behind(sample)
-            worst = max(worst, sample.quality)
-            newest = max(newest, sample.wall)
-            parts.append(self._part(name, sample))
+            word, quality, _, wall = sample
+            if quality > worst:
+                worst = quality
+            if wall > newest:
+                newest = wall
+            parts.append(self._part(name, word, quality))
         time = f'"{timestamp(newest)}"' if newest else "null"
         tripped = (None if is_leaving else TRUTH[image.is_tripped]) or "null"
         needed = TRUTH[image.is_reset_needed]
         head = f'"time":{time},"quality":"{WORDS[worst]}","tripped":{tripped},"reset_needed":{needed}'
         return f"{{{head},{','.join(parts)}}}"
 
-    def _part(self, name: str, sample: Sample) -> str:
+    def _part(self, name: str, word: int, quality: Quality) -> str:
         derived = self._image.derived.get(name)
         base = derived and self._image.bases.get(derived.base)
-        made_of = (sample.word, sample.quality is Quality.GOOD, base)
+        made_of = (word, quality is Quality.GOOD, base)
         known = self._parts.get(name)
         if known is None or known[0] != made_of:
-            known = self._parts[name] = (made_of, self._make(name, sample))
+            known = self._parts[name] = (made_of, self._make(name, word, quality))
         return known[1]
 
-    def _make(self, name: str, sample: Sample) -> str:
-        is_good = sample.quality is Quality.GOOD
-        number = self._image.show(name, sample.word) if is_good else "null"
-        part = f"{json.dumps(key(name))}:{number}"
-        if not has_text(self._image, name):
+    def _make(self, name: str, word: int, quality: Quality) -> str:
+        key, text_key = self._keys[name]
+        is_good = quality is Quality.GOOD
+        part = f"{key}:{self._image.show(name, word) if is_good else 'null'}"
+        if not text_key:
             return part
-        words = json.dumps(text(self._image, name, sample), ensure_ascii=False) if is_good else "null"
-        return f"{part},{json.dumps(key(name) + '_text')}:{words}"
+        words = json.dumps(self._image.text(name, word) or NO_BITS, ensure_ascii=False) if is_good else "null"
+        return f"{part},{text_key}:{words}"
+
+
+def _keys(image: DriveImage, name: str) -> tuple[str, str]:
+    """Return the keys of a value and of its words as JSON; the second is empty where a number says all."""
+    return json.dumps(key(name)), json.dumps(f"{key(name)}_text") if has_text(image, name) else ""

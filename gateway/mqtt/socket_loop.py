@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-import socket
 from typing import Any, Protocol
 
+from gateway.mqtt import packets
 from gateway.mqtt.reception import Reception
 
 READ_AT_ONCE = 8  # messages that are read at a stretch: well below a millisecond, so that no line waits for a flood
 LARGEST_PACKET = 64 * 1024  # bytes that the broker may send in one packet
 TOO_LARGE = "the broker sent a packet of %d bytes; no command needs more than %d"
-TCP_CORK = getattr(socket, "TCP_CORK", None)  # Linux
 
 
 class Owner(Protocol):
@@ -118,12 +117,10 @@ class SocketLoop:
         except Exception as error:
             self._owner.fail(error)
 
-    def write(self, messages: int) -> bool:
+    def write(self) -> bool:
         """Write what paho holds; say whether all of it is written. The rest is as soon as the socket takes it."""
-        if messages > 1:
-            self._write_corked()
-        else:
-            self._client.loop_write()
+        packets.join(self._client._out_packet)
+        self._client.loop_write()
         wants_write = bool(self._client.want_write()) or not self._pushed()
         if self._fd >= 0 and wants_write is not self._is_writing:
             self._is_writing = wants_write
@@ -140,14 +137,3 @@ class SocketLoop:
             return push is None or bool(push())
         except OSError:
             return True  # reading says why the connection is lost
-
-    def _write_corked(self) -> None:
-        """Write several messages as one segment: paho hands them to the socket one by one."""
-        sock = self._client.socket()
-        if sock is None or TCP_CORK is None:
-            self._client.loop_write()
-            return
-        sock.setsockopt(socket.IPPROTO_TCP, TCP_CORK, 1)
-        self._client.loop_write()
-        if self._fd >= 0:
-            sock.setsockopt(socket.IPPROTO_TCP, TCP_CORK, 0)

@@ -16,10 +16,11 @@ RESET_NEEDED = "reset_needed"
 CONTROL = "control"
 DESCRIPTION = "description"
 EVENT, RESULT = "event", "result"
+HISTORY = "history"  # the level below a drive under which stands what a broker has missed
 
 # Levels below a drive that are no values: what is published besides, and what is taken for control and description.
 PUBLISHED = frozenset({AVAILABILITY, STATE, TRIPPED, RESET_NEEDED, CONTROL, DESCRIPTION, EVENT})
-RESERVED = PUBLISHED | {"set", "command", "heartbeat", RESULT}
+RESERVED = PUBLISHED | {"set", "command", "heartbeat", RESULT, HISTORY}
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +92,8 @@ def overview(section: MqttSection, site: Site) -> list[str]:
             listed.append(topics.state)
         if "values" in section.publish:
             listed += _of_values(topics)
+        if section.store.enabled:
+            listed.append(f"{topics.state.removesuffix(STATE)}{HISTORY}/#")
     return listed
 
 

@@ -7,6 +7,8 @@ import contextlib
 import logging
 import random
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any
 
 from gateway.clock import Clock
 from gateway.config import MqttSection, SparkplugSection
@@ -17,17 +19,20 @@ from gateway.mqtt.client import Introduction
 from gateway.mqtt.connection import LEAVE_LIMIT, Connection
 from gateway.mqtt.made import BrokerAway, close
 from gateway.mqtt.message import Message
+from gateway.mqtt.missed import Missed
 from gateway.mqtt.outgoing import Outgoing
 from gateway.mqtt.reception import Ears
 
 TEND_EVERY = 1.0  # seconds between looks at the keep-alive
+UNSURE = 0.05  # seconds between questions whether the broker has all, before it is left
 HANDED_OVER = 2  # commands handed to the door at a stretch, so that a line's timing does not suffer
 
 
 class Uplink(ABC):
     """One broker, from `run` until it is cancelled. Nothing here waits for another broker, or for a line.
 
-    While the broker is away `_connection` is None; what is to be told then is the children's to decide.
+    While the broker is away `_connection` is None; what is to be told then goes to `_missed`, where its children have
+    made one.
     """
 
     def __init__(
@@ -46,6 +51,7 @@ class Uplink(ABC):
         self._connection: Connection | None = None
         self._in_flight = client.IN_FLIGHT
         self._told = ""
+        self._missed: Missed[Any] | None = None  # None: nothing is kept for this broker while it is away
 
     # ---- what its children say and hear
 
@@ -86,6 +92,14 @@ class Uplink(ABC):
     @abstractmethod
     def _settle(self, wire: Outgoing, now: float) -> None:
         """Send a little of what is owed, so that no line need wait long."""
+
+    def _post(self, _wire: Outgoing, _what: Any) -> Callable[[], bool] | None:
+        """Send a message that was missed; see `Missed.send`."""
+        return None
+
+    def _may_post(self, _now: float) -> bool:
+        """Say whether the broker is ready for what it has missed."""
+        return True
 
     def _patience(self, _now: float) -> float:
         """Return for how many seconds at the most nothing need be looked at."""
@@ -138,6 +152,8 @@ class Uplink(ABC):
             self._connection, self._stats.is_connected = None, False
             self._stats.waiting = 0
             self._end()
+            if self._missed is not None:
+                self._missed.end()
             if connection is None:
                 close(made.client)
             else:
@@ -149,6 +165,8 @@ class Uplink(ABC):
         self._stats.is_connected = True
         self._stats.connects += 1
         self._connection = connection
+        if self._missed is not None:
+            self._missed.begin(connection.wake)
         self._begin(connection)
 
     @property
@@ -172,21 +190,52 @@ class Uplink(ABC):
                 tend_at = now + TEND_EVERY
                 connection.tend()
                 self._look(now)
+            self._settle_missed(connection, now)
             are_waiting = self._hand_over(HANDED_OVER)
             is_owing = self._is_owing(now)
             if is_owing and wire.room >= enough:
                 self._settle(wire, now)
                 connection.flush()
                 await asyncio.sleep(0)
-            elif are_waiting:
+            elif are_waiting or self._has_posted(connection, now):
                 await asyncio.sleep(0)
             else:
-                await connection.wait(self._patience(now), room=enough if is_owing else 0)
+                await connection.wait(self._patience_with_missed(wire, now), room=enough if is_owing else 0)
         if connection.lost is None:
             reason = self._farewell()
             await self._leave(connection)
             raise BrokerAway(reason)
         raise BrokerAway(f"connection lost: {connection.lost}")
+
+    # ---- what the broker misses
+
+    def _mark(self, connection: Connection, *, was_sent: bool) -> int | None:
+        """Return by which message what was just sent is known to be there; see `Unconfirmed.add`."""
+        return connection.outgoing.handed if was_sent else None
+
+    def _settle_missed(self, connection: Connection, now: float) -> None:
+        """Find out what the broker has: that it cannot miss any more."""
+        if self._missed is None:
+            return
+        self._missed.settle(connection.outgoing.there)
+        if self._missed.is_unsure:
+            connection.receipts.ask(now)
+            connection.flush()
+
+    def _has_posted(self, connection: Connection, now: float) -> bool:
+        """Send a message that the broker has missed, where it is time for one and nothing live waits."""
+        missed, wire = self._missed, connection.outgoing
+        if missed is None or not self._may_post(now) or not missed.is_due(wire, now):
+            return False
+        missed.send(now, lambda what: self._post(wire, what))
+        connection.flush()
+        return True
+
+    def _patience_with_missed(self, wire: Outgoing, now: float) -> float:
+        patience = self._patience(now)
+        if self._missed is None or not self._may_post(now):
+            return patience
+        return self._missed.patience(wire, now, patience)
 
     def _wake(self) -> None:
         """Have what is owed sent when whoever tells of it has come to an end."""
@@ -200,4 +249,7 @@ class Uplink(ABC):
             async with asyncio.timeout(LEAVE_LIMIT):
                 self._say_farewell(connection.outgoing)
                 connection.flush()
+                while self._missed is not None and self._missed.is_unsure and connection.lost is None:
+                    self._settle_missed(connection, self._clock.now())
+                    await connection.wait(UNSURE)
                 await connection.leave()

@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
+from gateway.backlog import Backlog, Kept
 from gateway.clock import Clock
 from gateway.config import SparkplugSection
 from gateway.control.command import Result
 from gateway.control.door import Door
 from gateway.image import DriveImage, Image
 from gateway.metrics import MqttStats
-from gateway.mqtt import client
+from gateway.mqtt import client, outcome
 from gateway.mqtt.client import Introduction
 from gateway.mqtt.connection import Connection
+from gateway.mqtt.filters import Policy, unfiltered
+from gateway.mqtt.forwarding import Forwarder, Parcel
 from gateway.mqtt.message import Message
+from gateway.mqtt.missed import Missed
 from gateway.mqtt.outgoing import Outgoing
 from gateway.mqtt.uplink import Uplink
-from gateway.sparkplug.device import Moment
+from gateway.sparkplug import history
+from gateway.sparkplug.device import FOR_EVER, Moment
 from gateway.sparkplug.listener import Listener
 from gateway.sparkplug.memory import Keeper, Memory
 from gateway.sparkplug.node import Node
 from gateway.sparkplug.session import Happening, Phase
 
+WINDOW = 1000  # messages of what was missed that are not known to be there: that is asked some times a second
 STEPS = 1  # messages sent at a stretch: a birth takes 0.3 ms, and a line's timing must not suffer
 
 
@@ -39,6 +45,7 @@ class EdgeNode(Uplink):
         chance: random.Random | None = None,
         door: Door | None = None,
         keeper: Keeper | None = None,
+        backlog: Backlog | None = None,
     ) -> None:
         super().__init__(section, stats, clock, chance)
         self._section = section
@@ -46,10 +53,16 @@ class EdgeNode(Uplink):
         self.node = Node(section, gateway, image, stats, controls, door.lines if door is not None else {})
         self._memory = None if keeper is None else Memory(keeper, self.node.topics)
         self._listener = Listener(section, self.node, stats, clock, door)
+        if backlog is not None:
+            forwarder = Forwarder(section.store.rate, self._unpack, window=WINDOW)
+            self._missed = Missed(backlog, image, self._policies, forwarder, clock)
         image.subscribe(self._on_change)
         if controls and door is not None:
             door.on_result(self._on_result)
             door.on_event(self._on_event)
+
+    def _policies(self, image: DriveImage) -> Mapping[str, Policy]:
+        return unfiltered(self._section.deadband, FOR_EVER, image)
 
     # ---- the connection
 
@@ -118,14 +131,18 @@ class EdgeNode(Uplink):
 
     def _on_change(self, image: DriveImage, names: Sequence[str]) -> None:
         """Publish what is news, before the answer's call chain ends."""
-        connection = self._connection
+        connection, drive = self._connection, image.drive.name
         if connection is None:
+            if self._missed is not None:
+                self._missed.note(image, names, None)
             return
         try:
             moment = Moment(self._clock.now(), self._ms())
             self.node.note_change(image, names, moment.now)
-            self.node.settle_drive(connection.outgoing, image.drive.name, moment)
-            connection.flush()
+            self.node.settle_drive(connection.outgoing, drive, moment)
+            if self._missed is not None:
+                self._missed.note(image, names, self._mark(connection, was_sent=self.node.is_told(drive)))
+            connection.flush_soon()
         except Exception as error:
             connection.fail(error)
         if self.node.is_owing(self._clock.now()):
@@ -136,8 +153,30 @@ class EdgeNode(Uplink):
         self._wake()
 
     def _on_event(self, drive: str, event: str, reason: str) -> None:
-        self.node.note_event(drive, event, reason, self._clock.wall())
+        wall = self._clock.wall()
+        is_lost = not self.node.note_event(drive, event, reason, wall)
+        if is_lost and self._missed is not None:
+            self._missed.note_event(drive, outcome.event(event, reason, wall), None)
+        else:
+            self._stats.untold += is_lost
         self._wake()
+
+    # ---- what the broker has missed
+
+    def _unpack(self, kept: Kept) -> list[Parcel[history.Missed]]:
+        return history.unpack(self.node.devices, kept)
+
+    def _may_post(self, _now: float) -> bool:
+        if self._missed is not None and self.node.is_live:
+            self._missed.pass_over(self.node.unborn)
+        return self.node.is_live
+
+    def _post(self, wire: Outgoing, what: history.Missed) -> Callable[[], bool] | None:
+        """Send what was missed; the broker has it when it has read so many messages."""
+        if not self.node.send_missed(wire, what, Moment(self._clock.now(), self._ms())):
+            return None
+        mark = wire.handed
+        return lambda: wire.there >= mark
 
     def _ms(self) -> int:
         return round(self._clock.wall() * 1000)

@@ -17,6 +17,7 @@ from gateway.sparkplug import drive_metrics
 from gateway.sparkplug.definition import Definer, Definition
 from gateway.sparkplug.device import Device, Moment
 from gateway.sparkplug.drive_metrics import EVENT, RESULT
+from gateway.sparkplug.history import Missed
 from gateway.sparkplug.payload import DataType, Metric, Payload, Value, encode
 from gateway.sparkplug.session import Happening, Phase, Session
 from gateway.sparkplug.topics import Topics
@@ -75,9 +76,7 @@ class Node:
         for each in image.drives:
             control = controls.get(each.drive.name)
             may_command = section.commands and control is not None and control.settings.may_write(ANY_HOST)
-            metrics = drive_metrics.define(
-                definer, each, is_controlled=control is not None, may_command=may_command
-            )
+            metrics = drive_metrics.define(definer, each, is_controlled=control is not None, may_command=may_command)
             self.devices[each.drive.name] = Device(each, metrics, section.deadband, control)
         self._debtors: dict[str, Device] = {}
 
@@ -115,18 +114,19 @@ class Node:
 
     def note_result(self, result: Result, wall: float) -> None:
         """Take what became of a command, to be told by its drive."""
-        self._note(result.command.drive, RESULT, outcome.result(result, wall), wall)
+        drive, text = result.command.drive, outcome.result(result, wall)
+        self._stats.untold += not self._note(drive, RESULT, text, wall)
 
-    def note_event(self, drive: str, event: str, reason: str, wall: float) -> None:
-        """Take what happened to a drive, to be told by it."""
-        self._note(drive, EVENT, outcome.event(event, reason, wall), wall)
+    def note_event(self, drive: str, event: str, reason: str, wall: float) -> bool:
+        """Take what happened to a drive, to be told by it; False where it cannot be told now."""
+        return self._note(drive, EVENT, outcome.event(event, reason, wall), wall)
 
-    def _note(self, drive: str, name: str, text: str, wall: float) -> None:
+    def _note(self, drive: str, name: str, text: str, wall: float) -> bool:
         device = self.devices.get(drive)
         if device is None:
-            return
-        self._stats.untold += not device.note(name, text, round(wall * 1000))
+            return True
         self._debtors[drive] = device
+        return device.note(name, text, round(wall * 1000))
 
     def look(self) -> None:
         """Look at every drive, since who may command it changes without a word."""
@@ -166,6 +166,25 @@ class Node:
         """Send what one drive owes, at once, where data may be sent and there is room."""
         if self.session.phase is Phase.LIVE and wire.room:
             self._settle_device(wire, self.devices[name], moment)
+
+    def send_missed(self, wire: Wire, missed: Missed, moment: Moment) -> bool:
+        """Send what hosts have missed of a drive; False where it is larger than the broker takes."""
+        return self._send(wire, self.topics.of_device("DDATA", missed.drive), missed.metrics, moment)
+
+    @property
+    def is_live(self) -> bool:
+        """Say whether data may be sent."""
+        return self.session.phase is Phase.LIVE
+
+    def is_told(self, drive: str) -> bool:
+        """Say whether hosts know all that is to be known of a drive."""
+        device = self.devices[drive]
+        return self.is_live and device.is_born and not device.is_owing
+
+    @property
+    def unborn(self) -> frozenset[str]:
+        """Return the drives that hosts do not know, and could not be told anything of."""
+        return frozenset(name for name, device in self.devices.items() if not device.is_born)
 
     def _send_node_birth(self, wire: Wire, moment: Moment) -> None:
         ms = moment.ms

@@ -1,4 +1,4 @@
-"""What outlives the process: how often the EEPROM of each drive was written, and the audit of commands."""
+"""What outlives the process: counts of EEPROM writes and the audit of commands; what brokers missed."""
 
 from gateway.store.store import Store, needs_store, store_path
 

@@ -23,6 +23,7 @@ from gateway.control.state import Standing
 from gateway.image import DriveImage, Image, LinkState, Quality
 from gateway.metrics import LATEST, DriveStats, Histogram, LineStats, MqttStats, Stats, TcpStats
 from gateway.site import Site
+from gateway.web import backlogs
 from gateway.web.page import age
 
 Labels = tuple[str, ...]
@@ -142,11 +143,14 @@ def families(site: Site, image: Image, stats: Stats, now: float, ledger: Ledger 
         yield from _of_store(site, ledger, now)
     if names := [broker.origin for broker in site.config.brokers]:
         each = [((name,) if name else (), stats.brokers.get(name) or MqttStats()) for name in names]
+        labels = BROKER if any(names) else ()
         for number in OF_MQTT:
-            yield number.family(BROKER if any(names) else (), each)
+            yield number.family(labels, each)
+        yield from backlogs.families("tosvert_mqtt", labels, [(of, mqtt.missed) for of, mqtt in each])
     if site.config.sparkplug is not None:
         for number in OF_SPARKPLUG:
             yield number.family((), [((), stats.sparkplug)])
+        yield from backlogs.families("tosvert_sparkplug", (), [((), stats.sparkplug.missed)])
     if site.config.modbus_tcp is not None:
         yield from _of_modbus_tcp(stats.tcp)
 

@@ -9,6 +9,7 @@ import ssl
 import threading
 from collections.abc import AsyncIterator, Callable
 
+from gateway.backlog import Backlog
 from gateway.clock import Clock, SystemClock
 from gateway.config import MqttSection
 from gateway.control.door import Door
@@ -53,15 +54,24 @@ class Running:
     """A bridge at work, and the drives that it tells of."""
 
     def __init__(
-        self, port: int, image: Image | None = None, door: Callable[[Clock], Door] | None = None, **settings: object
+        self,
+        port: int,
+        image: Image | None = None,
+        door: Callable[[Clock], Door] | None = None,
+        **settings: object,
     ) -> None:
         self.image = image or drives.image(drives.drive(max_age=drives.LONG))
         self.stats = MqttStats()
         self.clock = SkippingClock()
         made = section(**{"url": f"mqtt://127.0.0.1:{port}", **settings})
         behind = None if door is None else door(self.clock)
-        self.bridge = Bridge(made, GATEWAY, self.image, self.stats, self.clock, door=behind)
+        backlog = self.made_backlog()
+        self.bridge = Bridge(made, GATEWAY, self.image, self.stats, self.clock, door=behind, backlog=backlog)
         self.task: asyncio.Task[None] | None = None
+
+    def made_backlog(self) -> Backlog | None:
+        """Return what keeps what the broker misses; nothing does here."""
+        return None
 
     @property
     def pump(self) -> DriveImage:

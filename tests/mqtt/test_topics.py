@@ -73,7 +73,8 @@ def test_the_overview_lists_what_is_published() -> None:
     standing = [f"{ROOT}/{name}" for name in levels]
     assert overview()[:8] == ["tosvert/hall-3/status", *standing]
     assert f"{ROOT}/status_text" in overview()
-    assert overview(publish=["state"]) == ["tosvert/hall-3/status", *standing]
+    assert overview(publish=["state"]) == ["tosvert/hall-3/status", *standing, f"{ROOT}/history/#"]
+    assert f"{ROOT}/history/#" not in overview(store={"enabled": False})
     assert f"{ROOT}/state" not in overview(publish=["values"])
     assert f"{ROOT}/torque/quality" in overview(publish=["values"])
 

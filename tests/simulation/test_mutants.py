@@ -34,7 +34,7 @@ _sample = DriveImage.sample
 def always_good(image: DriveImage, name: str, now: float) -> Sample:
     """Show every value that was ever read as good."""
     sample = _sample(image, name, now)
-    return sample if sample.quality is Quality.NEVER_READ else replace(sample, quality=Quality.GOOD)
+    return sample if sample.quality is Quality.NEVER_READ else sample._replace(quality=Quality.GOOD)
 
 
 async def without_gap(line: Any, frame: bytes, _not_after: float = 0.0) -> float:

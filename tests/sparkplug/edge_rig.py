@@ -9,6 +9,7 @@ import threading
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
+from gateway.backlog import Backlog
 from gateway.clock import Clock
 from gateway.image import DriveImage, Image
 from gateway.metrics import MqttStats
@@ -111,8 +112,15 @@ class Running:
         self.clock = SkippingClock()
         made = section(**{"url": f"mqtt://127.0.0.1:{port}", "group_id": GROUP, **settings})
         self._door = None if door is None else door(self.clock)
-        self.edge = EdgeNode(made, "hall-3", self.image, self.stats, self.clock, door=self._door, keeper=keeper)
+        backlog = self.made_backlog()
+        self.edge = EdgeNode(
+            made, "hall-3", self.image, self.stats, self.clock, door=self._door, keeper=keeper, backlog=backlog
+        )
         self.task = asyncio.create_task(self.edge.run())
+
+    def made_backlog(self) -> Backlog | None:
+        """Return what keeps what hosts miss; nothing does here."""
+        return None
 
     @property
     def door(self) -> KeptDoor:

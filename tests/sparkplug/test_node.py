@@ -404,6 +404,8 @@ def test_results_that_nobody_takes_are_bounded_and_counted() -> None:
     plant, _ = controlled()
     plant.live()
     plant.back.room = 0
-    for number in range(100):
-        plant.node.note_event(LEASED, "armed", "", 1000.0 + number)
-    assert plant.stats.untold == 68
+    result = Result(Command(LEASED, Verb.TAKE, Source(Channel.SPARKPLUG), 0, 1), Status.DONE)
+    for number in range(50):
+        plant.node.note_result(result, 1000.0 + number)
+    assert plant.stats.untold == 18
+    assert not plant.node.note_event(LEASED, "armed", "", 1050.0), "whoever tells of it keeps it, or counts it"

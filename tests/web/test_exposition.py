@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from prometheus_client.exposition import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
 from gateway import site
+from gateway.backlog import BacklogStats, Loss
 from gateway.control.state import Standing
 from gateway.control.wear import MEMORY, Wear
 from gateway.image import LinkState, Quality
@@ -347,3 +349,14 @@ def test_what_is_known_of_an_adapter_is_told(is_known: bool, number: float) -> N
     for name in ("tosvert_line_local_echo", "tosvert_line_low_latency"):
         assert value(rig, name, line="a") == number
         assert (name, frozenset({("line", "b")})) not in scraped(rig)
+
+
+def test_what_a_broker_missed_is_counted(busy: Rig) -> None:
+    """What was kept, sent, waits, and was dropped by reason."""
+    busy.stats.brokers.setdefault("", MqttStats()).missed = BacklogStats(7, 5, 2, Counter({Loss.SIZE: 3}), True)
+    assert value(busy, "tosvert_mqtt_backlog_kept_total") == 7
+    assert value(busy, "tosvert_mqtt_backlog_sent_total") == 5
+    assert value(busy, "tosvert_mqtt_backlog_waiting") == 2
+    assert value(busy, "tosvert_mqtt_backlog_dropped_total", reason="size") == 3
+    assert value(busy, "tosvert_mqtt_backlog_dropped_total", reason="age") == 0
+    assert value(busy, "tosvert_mqtt_backlog_problem") == 1
