@@ -18,6 +18,7 @@ import paho.mqtt.client
 import gateway.app
 from gateway.drives import catalogue
 from gateway.drives.catalogue import Catalogue
+from gateway.modbus_tcp import sockets
 from tests.simulation.links import Network
 from tests.simulation.world import World
 
@@ -54,6 +55,7 @@ def applied(world: World, network: Network) -> Iterator[None]:
         mock.patch.object(threading, "Thread", AtOnce),
         mock.patch.object(gateway.app, "gc", collector),
         mock.patch.object(os, "write", noting),
+        mock.patch.object(sockets, "HAS_EPOLL", False),  # clients come by the loop of the world
     ):
         before = logging.root.manager.disable
         logging.disable(logging.CRITICAL)
