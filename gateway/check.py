@@ -36,6 +36,17 @@ def refuse(configured: Site, path: Path) -> None:
     _refuse([*refresh.refusals(configured), *refresh.too_short(configured)], path)
 
 
+def refuse_late(configured: Site, path: Path) -> None:
+    """Raise BadConfig where polls may be answered after they fall due again, though every drive answers."""
+    refusals = []
+    for index, line in enumerate(configured.lines):
+        best = [plan_drive(drive, line, with_selectors=True) for drive in line.drives]
+        if late := traffic.undisturbed(line, best).late:
+            periods = ", ".join(map(_period, late))
+            refusals.append(f"line[{index}] ({line.name}): polls {periods} may be late: ask for less, or more seldom")
+    _refuse(refusals, path)
+
+
 def warn(configured: Site, path: Path) -> None:
     """Log what `refuse` would say of communication time-outs that cannot be kept: a plant is run with them."""
     for text in refresh.too_short(configured):

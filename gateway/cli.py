@@ -137,7 +137,10 @@ async def _run(configured: site.Site, file: Path, record: Path | None) -> None:
 
 
 @app.command("check")
-def check_file(file: ConfigFile) -> None:
+def check_file(
+    file: ConfigFile,
+    strict: Annotated[bool, typer.Option("--strict", help="an error, too, where polls may be answered late")] = False,
+) -> None:
     """Check a configuration and print what it comes to: exchanges, load, topics, register map."""
     configured = site.load(file)
     for line in check.report(configured):
@@ -165,6 +168,8 @@ def check_file(file: ConfigFile) -> None:
         typer.echo("")
         typer.echo(mapping.as_markdown(mapping.register_map(configured)))
     check.refuse(configured, file)
+    if strict:
+        check.refuse_late(configured, file)
     typer.echo(f"\n{file}: no errors")
 
 

@@ -63,6 +63,19 @@ def test_the_map_comes_as_markdown_csv_and_json() -> None:
     assert "464769" in [tag["Address"] for tag in tags]
 
 
+def test_a_strict_check_refuses_what_may_be_late(tmp_path: Path) -> None:
+    """The plan is printed all the same; without --strict, and with more time, all is well."""
+    example = (ROOT / "config" / "line-of-eight.toml").read_text(encoding="utf-8")
+    late, kept = tmp_path / "late.toml", ROOT / "config" / "one-drive.toml"
+    late.write_text(example.replace('"250ms"', '"20ms"'), encoding="utf-8")
+    assert command("check", str(late)).returncode == 0
+    refused = command("check", "--strict", str(late))
+    assert (refused.returncode, "DOES NOT FIT" in refused.stdout) == (78, True)
+    assert "line[0]" in refused.stderr
+    assert "polls every 20 ms" in refused.stderr
+    assert command("check", "--strict", str(kept)).returncode == 0
+
+
 def test_registers_lists_what_a_model_has() -> None:
     """By number, with unit and access; derived values behind."""
     listed = command("registers", "vf-nc3").stdout
