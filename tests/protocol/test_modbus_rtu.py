@@ -47,7 +47,12 @@ def hear(request: Request, *frames: bytes, codec: ModbusRtu = CODEC) -> list[Hea
 def test_what_the_protocol_has() -> None:
     """E6581657 5.1; no write that spares the EEPROM, and no word on a trip in an answer."""
     assert CODEC.forms == Forms(
-        range(1, 248), has_direct_block=True, has_block=True, has_exchange=True, has_identification=True
+        range(1, 248),
+        has_direct_block=True,
+        has_block=True,
+        has_exchange=True,
+        writes_all_or_none=True,
+        has_identification=True,
     )
     assert PROTOCOLS[CODEC.name] == CODEC
 
