@@ -37,7 +37,7 @@ class Known:
     armed: float = float("-inf")
     reset: float = float("-inf")  # when the drive has forgotten what it was told, or was not to be reached
     quiet: float | None = None  # since when it is to be left alone
-    held: int | None = None  # FA01 before the last trial of the exchange, which is to put it back
+    held: set[int] = field(default_factory=set)  # FA01 before trials of the exchange, which are to put it back
 
 
 @dataclass(slots=True)
@@ -127,8 +127,7 @@ class LineRules:
         if given[COMMAND] == COMMAND_WORD and given.get(FREQUENCY, FREQUENCY_WORDS[0]) in FREQUENCY_WORDS:
             if known.drive.inverter.is_running or memory.word(COMMAND) not in (0, COMMAND_WORD):
                 self.tell(f"{known.name}: the exchange was tried while it runs, or is commanded")
-            if known.held is None:
-                known.held = memory.word(FREQUENCY)
+            known.held.add(memory.word(FREQUENCY))  # also what a process has left that was killed within its trial
             return
         for name, word in given.items():
             self._write(known, Written(known.drive.number, registers[name].address, word, is_stored=False))
@@ -136,13 +135,13 @@ class LineRules:
     def _write(self, known: Known, write: Written) -> None:
         self.world.note("write", known.name, f"{write.address:04X}", f"{write.word:04X}", write.is_stored)
         model = known.drive.model
-        if known.held is not None and self._puts_right(known, write):
+        if known.held and self._puts_right(known, write):
             return
         if not known.is_commanded and write.address not in _watchdog(model):
             self.tell(f"{known.name}: {write.address:04X}H = {write.word:04X}H was written before any command")
         command = model.registers[COMMAND]
         if write.address == command.address and runs(command, write.word):
-            known.held = None  # whatever was to be put right
+            known.held.clear()  # whatever was to be put right
             self._run(known)
         if write.address == model.registers[FREQUENCY].address:
             self._setpoint(known, write.word)
@@ -152,9 +151,9 @@ class LineRules:
         registers, memory = known.drive.model.registers, known.drive.inverter.memory
         if write.address == registers[COMMAND].address:
             return write.word == 0 and memory.word(COMMAND) in (0, COMMAND_WORD)
-        if write.address != registers[FREQUENCY].address or write.word != known.held:
+        if write.address != registers[FREQUENCY].address or write.word not in known.held:
             return False
-        if memory.word(FREQUENCY) not in (*FREQUENCY_WORDS, known.held):
+        if memory.word(FREQUENCY) not in {*FREQUENCY_WORDS, *known.held}:
             return False
         if known.drive.inverter.is_running:
             self.tell(f"{known.name}: FA01 is put right after a trial, and it runs")
