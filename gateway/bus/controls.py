@@ -14,7 +14,7 @@ from gateway.control.state import Errand
 from gateway.protocol.codec import Codec, NoSuchForm
 from gateway.protocol.pdu import WriteRam
 
-SOON = 0.2  # seconds
+SOON = 0.2  # seconds behind a command, beyond which no shorter deadline of another drive's goes ahead of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,6 @@ class LineControls:
         """Return the next frame of any command, the one with the earliest deadline first; of equal ones in turn.
 
         A deadline counts as no later than `SOON` behind the command: shorter ones without end put none off for ever.
-
         Looks at drives that nobody commands just now have their turn behind each frame of a command.
         """
         turns = _after(list(self.controls), self._last_served)

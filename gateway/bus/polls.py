@@ -39,13 +39,15 @@ class Polls:
         self._schedule = served.schedule
         self._clock = served.clock
 
-    async def exchange(self, exchanger: Exchanger, job: Job[Work], babble: BadReply | None = None) -> None:
+    async def exchange(
+        self, exchanger: Exchanger, job: Job[Work], started: float, babble: BadReply | None = None
+    ) -> None:
         """Carry out one exchange; whatever comes of it is finished here and nowhere else.
 
+        `started` is since when the line was waited for, in monotonic seconds: what comes to nothing has cost that.
         `babble` is why the line is not free for it: then nothing is sent, nor waited for a second time.
         """
         station = self._stations[job.drive]
-        started = self._clock.now()
         station.stats.exchanges += 1
         asked_since = job.due if job.period else job.waits_since
         request = job.work.request

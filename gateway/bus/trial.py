@@ -236,7 +236,7 @@ class Trial:
             self._problem = str(refused)
             self._check()
         elif self._left:
-            if self._stage in (Stage.RESTORING, Stage.RESTORED) or refused.reason is Refusal.UNABLE:
+            if self._stage is not Stage.LOOKING or refused.reason is Refusal.UNABLE:
                 self._problem = str(refused)
             self._left.pop(0)
         else:

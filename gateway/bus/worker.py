@@ -200,7 +200,7 @@ class LineWorker:
                 babble = await exchanger.ready()
                 if not self._is_rung or is_owed:  # else a command came within the gap: it goes first
                     self._controls.keepalive.let_through(now)
-                    await self._polls.exchange(exchanger, job, babble)
+                    await self._polls.exchange(exchanger, job, now, babble)
             case NotBefore(when):
                 await self._alarm.wait_until(min(when, wake))
             case None:
@@ -215,12 +215,12 @@ class LineWorker:
         is_held = now < station.quiet_until or not station.reader.is_set_up
         poll = None if is_held else self._schedule.most_urgent(name, now)
         if poll is not None and station.planner.cost(poll.work.request) <= station.turn:
-            await self._polls.exchange(exchanger, poll)
+            await self._polls.exchange(exchanger, poll, now)
             return
         work = station.reader.identify() if is_held else station.reader.glance()
         job = Job(name, work, None, now, AHEAD)
         self._schedule.add(job)
-        await self._polls.exchange(exchanger, job)
+        await self._polls.exchange(exchanger, job, now)
 
     # ---- its bell
 

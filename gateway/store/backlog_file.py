@@ -11,8 +11,7 @@ import contextlib
 import os
 import secrets
 import sqlite3
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from gateway.store import backlog_schema as schema
 from gateway.store.backlog_schema import Limits
 from gateway.store.errors import StoreAway, StoreDamaged, translated
 from gateway.store.place import beside, locked, set_aside, set_aside_before, sync
+from gateway.store.transaction import transaction
 
 BUSY_WAIT = 1.0  # seconds for another program to finish what it writes
 LONGEST_LOG = 1_000_000  # bytes of the write-ahead log that are kept when it is empty
@@ -82,7 +82,7 @@ class BacklogFile:
 
     def _written(self, readings: Sequence[Reading]) -> int:
         rows = self.rows
-        with self._transaction() as connection:
+        with transaction(self._connection) as connection:
             dropped = 0
             while count := schema.to_drop(readings, rows - dropped, self._used(), self._limits):
                 dropped += connection.execute(schema.DROP_OLDEST, (count,)).rowcount
@@ -100,14 +100,14 @@ class BacklogFile:
 
     def let_go(self, numbers: Sequence[int]) -> int:
         """Keep these no longer; return how many there were."""
-        with translated(self.path), self._transaction() as connection:
+        with translated(self.path), transaction(self._connection) as connection:
             gone = connection.executemany(schema.LET_GO, [(number,) for number in numbers]).rowcount
         self.rows -= gone
         return gone
 
     def drop_older(self, ms: int) -> int:
         """Drop what is older than that, in milliseconds of UTC; return how many."""
-        with translated(self.path), self._transaction() as connection:
+        with translated(self.path), transaction(self._connection) as connection:
             gone = connection.execute(schema.DROP_OLDER, (ms,)).rowcount
         self.rows -= gone
         return gone
@@ -133,18 +133,6 @@ class BacklogFile:
     def _pragma(self, name: str) -> int:
         (value,) = self._connection.execute(f"PRAGMA {name}").fetchone()
         return int(value)
-
-    @contextmanager
-    def _transaction(self) -> Iterator[sqlite3.Connection]:
-        """Do it whole or not at all."""
-        self._connection.execute("BEGIN IMMEDIATE")
-        try:
-            yield self._connection
-            self._connection.execute("COMMIT")
-        except BaseException:
-            with contextlib.suppress(sqlite3.Error):
-                self._connection.execute("ROLLBACK")
-            raise
 
 
 def begin_anew(path: Path, now: float) -> str:

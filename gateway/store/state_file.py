@@ -10,8 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from gateway.store import schema
 from gateway.store.errors import StoreAway, StoreDamaged, translated
 from gateway.store.place import beside, locked, set_aside, set_aside_before, sync
 from gateway.store.schema import Saved
+from gateway.store.transaction import transaction
 
 BUSY_WAIT = 2.0  # seconds for another program, such as the sqlite3 shell, to finish what it writes
 LONGEST_LOG = 1_000_000  # bytes of the write-ahead log that are kept when it is empty
@@ -54,7 +54,7 @@ class StateFile:
                 os.close(lock)
                 raise
             try:
-                with file._transaction() as connection:
+                with transaction(file._connection) as connection:
                     connection.execute(schema.NOTE, ("opened", schema.in_utc(now)))
                     connection.execute(schema.NOTE, ("audit_rows", str(audit_rows)))
             except BaseException:
@@ -69,17 +69,17 @@ class StateFile:
 
     def write(self, counts: Mapping[Key, Wear]) -> None:
         """Write counts, all together and for good when this returns; none goes down."""
-        with translated(self.path), self._transaction() as connection:
+        with translated(self.path), transaction(self._connection) as connection:
             connection.executemany(schema.COUNT, schema.rows_of(counts))
 
     def keep(self, texts: Mapping[str, str]) -> None:
         """Write short texts, each in the place of an older one."""
-        with translated(self.path), self._transaction() as connection:
+        with translated(self.path), transaction(self._connection) as connection:
             connection.executemany(schema.NOTE, [(schema.KEPT + key, text) for key, text in texts.items()])
 
     def append(self, entries: Sequence[Entry]) -> None:
         """Append to the audit, and let go the oldest of too many rows."""
-        with translated(self.path), self._transaction() as connection:
+        with translated(self.path), transaction(self._connection) as connection:
             connection.executemany(schema.APPEND, [schema.row_of(entry) for entry in entries])
             connection.execute(schema.TRIM, (self.audit_rows,))
 
@@ -87,7 +87,7 @@ class StateFile:
         """Take every parameter to have been written `writes` times at least: the counts are then whole again."""
         saved = self.read()
         counts = {key: replace(wear, writes=max(writes, wear.writes)) for key, wear in saved.wear.items()}
-        with translated(self.path), self._transaction() as connection:
+        with translated(self.path), transaction(self._connection) as connection:
             connection.executemany(schema.COUNT, schema.rows_of(counts))
             connection.execute(schema.NOTE, ("begins_at", str(max(writes, saved.begins_at))))
             connection.execute("DELETE FROM meta WHERE key = 'lost'")
@@ -97,18 +97,6 @@ class StateFile:
         with contextlib.suppress(sqlite3.Error):
             self._connection.close()
         os.close(self._lock)
-
-    @contextmanager
-    def _transaction(self) -> Iterator[sqlite3.Connection]:
-        """Do it whole or not at all."""
-        self._connection.execute("BEGIN IMMEDIATE")
-        try:
-            yield self._connection
-            self._connection.execute("COMMIT")
-        except BaseException:
-            with contextlib.suppress(sqlite3.Error):
-                self._connection.execute("ROLLBACK")
-            raise
 
 
 def look(path: Path) -> Saved:
