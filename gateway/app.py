@@ -238,13 +238,20 @@ class App:
         log.info("ended in order")
 
     async def _leave(self) -> None:
-        """Stop what `on_exit` wants stopped, and see that it does, before any port is closed (SAFETY.md H13)."""
+        """Stop what `on_exit` wants stopped, and see that it does, before any port is closed (SAFETY.md H13).
+
+        A trial of an exchange comes to its end too: its words are not left behind in a drive.
+        """
         self.door.leave()
         until = self.clock.now() + LEAVE_WITHIN
-        while not self.door.is_settled and self.clock.now() < until:  # noqa: ASYNC110 - the lines settle it
+        while not self._is_settled and self.clock.now() < until:  # noqa: ASYNC110 - the lines settle it
             await asyncio.sleep(LEAVE_STEP)
         if not self.door.is_settled:
             log.warning("not every drive was seen to stop; their own communication time-outs have to act")
+
+    @property
+    def _is_settled(self) -> bool:
+        return self.door.is_settled and all(worker.is_settled for worker in self.workers)
 
     async def _keep_house(self) -> None:
         """Find what turned stale, count rates, tell the service manager that the loop is alive."""

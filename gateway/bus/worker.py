@@ -222,6 +222,11 @@ class LineWorker:
         self._schedule.add(job)
         await self._polls.exchange(exchanger, job, now)
 
+    @property
+    def is_settled(self) -> bool:
+        """Say whether no exchange is being tried: whatever a trial wrote is as it was."""
+        return not any(station.reader.is_on_trial for station in self._stations.values())
+
     # ---- its bell
 
     def ring(self) -> None:

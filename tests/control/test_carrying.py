@@ -10,10 +10,12 @@ from typing import Any
 
 import pytest
 
+from gateway.app import App
 from gateway.bus.trial import COMMAND_WORD, FREQUENCY_WORDS, Trial
 from gateway.bus.work import Work
 from gateway.control.carrying import Form, selected
 from gateway.control.command import Reason, Status, Verb
+from gateway.control.ledger import MemoryLedger
 from gateway.drives.catalogue import load
 from gateway.image import LinkState
 from gateway.protocol.pdu import ReadBlock
@@ -24,6 +26,8 @@ from gateway.sim.journal import Way
 from tests.bus.rig import SELECTED, Bench, bench, run
 from tests.control.test_control_line import PLC, Stage, started
 from tests.control.test_control_line import play as play_on_line
+from tests.virtual import VirtualClock
+from tests.virtual import run as virtual_run
 
 EXCHANGE, WRITE, READ = 0x17, 0x06, 0x03
 COMMAND, FREQUENCY = "command", "frequency_command"
@@ -305,6 +309,29 @@ def test_a_trial_that_a_dead_line_breaks_off_is_put_right_when_it_is_back(
         assert stage.worker._stations["d1"].reader.form is not None
 
     watched(watch, [1, 3])
+
+
+@pytest.mark.parametrize("which", range(5, 16))
+def test_a_gateway_that_is_ended_within_a_trial_ends_it_first(which: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """SIGTERM at any frame of it: the port closes when FA00 and FA01 are as they were."""
+    drive = {"number": 1, "model": "vf-nc3", "block_read": SELECTED, "block_write": [1, 3]}
+
+    async def main() -> None:
+        made = bench([drive], drive={"block_write": True, "control": "direct"})
+        app = App(made.configured, VirtualClock(), made.open, MemoryLedger())
+        put(made, {FREQUENCY: 1234})
+        seen: list[int] = []
+
+        def end() -> None:
+            seen.append(word(made, FREQUENCY))
+            app.end()
+
+        faulty(monkeypatch, range(which, which + 1), end)
+        await app.run()
+        assert seen == [FREQUENCY_WORDS[0] if 7 <= which <= 13 else 1234]  # from the exchange to its undoing
+        assert (word(made, COMMAND), word(made, FREQUENCY)) == (0, 1234)
+
+    virtual_run(main())
 
 
 @pytest.mark.hazard("H29")
