@@ -103,7 +103,7 @@ class CommandFrames:
                 log.warning("%s: commands go in frames of their own: %s", station.drive.name, refused)
                 station.reader.give_up_exchange()
         else:
-            control.errands.on_refused(errand, refused)
+            control.errands.on_refused(errand, refused, now)
 
     def _carried(self, station: Station, control: DriveControl, errand: Errand, answered: Answered) -> None:
         """Take the answer to a command's frame: what was read back is seen at once."""

@@ -37,7 +37,10 @@ class Errands:
         if state.standing is Standing.QUIET:
             return None
         while state.queue:
-            errand = self._next_of(state.queue.head, now)
+            head = state.queue.head
+            if not (head.is_begun or head.is_stop) and (look := self.resets.next_look(now)) is not None:
+                return look  # a queue that never empties does not keep a reset from being seen
+            errand = self._next_of(head, now)
             if errand is not None:
                 return errand
             if state.queue and state.queue.head.is_to_be_counted:
@@ -115,10 +118,10 @@ class Errands:
             execution.on_reply(reply)
             self._settle(execution)
 
-    def on_refused(self, errand: Errand, refused: Refused) -> None:
+    def on_refused(self, errand: Errand, refused: Refused, now: float) -> None:
         """Take a refusal."""
         if errand.look is not None:
-            self.resets.refused(errand.look, refused.reason)
+            self.resets.refused(errand.look, refused.reason, now)
         if errand.execution is not None:
             errand.execution.on_refused(refused)
             self._settle(errand.execution)

@@ -22,6 +22,7 @@ from gateway.errors import Refusal
 RESET_WITHIN = 15.0  # seconds for a drive to come back after a fault reset
 MARK = "reset_detection"  # FA87
 MARK_EVERY = 1.0  # seconds between two looks at it while the drive is armed
+MARK_AGAIN = 0.2  # seconds to the next look where the drive could not tell just now
 MARK_FRESH = 0.25  # seconds for which a look at it is believed before a run command
 RESET = "the drive was reset"
 CLEARED = "the drive is no longer tripped: it was reset"
@@ -38,6 +39,7 @@ class Resets:
     _asked: Execution | None = None
     _until: float = 0.0
     _seen: float = float("-inf")
+    _again_at: float = float("-inf")  # when a drive that could not tell is looked at once more
 
     @property
     def is_under_way(self) -> bool:
@@ -130,7 +132,11 @@ class Resets:
 
     def next_look(self, now: float) -> Errand | None:
         """Return the look that is due."""
-        return self._look if self._is_watched and now >= self._seen + MARK_EVERY else None
+        return self._look if self._is_watched and now >= self._due_at else None
+
+    @property
+    def _due_at(self) -> float:
+        return max(self._seen + MARK_EVERY, self._again_at)
 
     @property
     def _look(self) -> Errand:
@@ -148,12 +154,14 @@ class Resets:
             if word == 0 and state.is_marked:
                 self.on_reset()
 
-    def refused(self, register: Register, reason: Refusal) -> None:
+    def refused(self, register: Register, reason: Refusal, now: float) -> None:
         """Take that the drive does not tell: what it cannot tell just now is asked again, the rest is not known.
 
         Without its mark nothing is watched, and what it was before is no answer any more.
         """
         if reason is Refusal.UNABLE:
+            if register.name == MARK:
+                self._again_at = now + MARK_AGAIN
             return
         if register in self._to_observe:
             self._to_observe.remove(register)
@@ -164,4 +172,4 @@ class Resets:
     def next_time(self) -> float:
         """Return when `tick` or `next_look` has to be called at the latest."""
         times = [self._until] if self._asked is not None else []
-        return min([*times, self._seen + MARK_EVERY] if self._is_watched else times, default=float("inf"))
+        return min([*times, self._due_at] if self._is_watched else times, default=float("inf"))

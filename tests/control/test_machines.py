@@ -158,7 +158,7 @@ class CommandPath(RuleBasedStateMachine):
         elif outcome == "answer":
             self.control.errands.on_reply(errand, Written(), self.now)
         elif outcome == "refusal":
-            self.control.errands.on_refused(errand, Refused("no", Refusal.UNABLE))
+            self.control.errands.on_refused(errand, Refused("no", Refusal.UNABLE), self.now)
         else:
             self.control.errands.on_silence(errand, "no answer", self.now)
 

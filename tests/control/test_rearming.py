@@ -8,6 +8,8 @@ from decimal import Decimal
 import pytest
 
 from gateway.control.command import Command, Reason, Status, Verb
+from gateway.control.resets import MARK_AGAIN, MARK_EVERY
+from gateway.errors import Refusal
 from gateway.protocol.checksum import crc16
 from tests.control.test_control_line import DASHBOARD, Stage, play, started
 
@@ -197,3 +199,44 @@ def test_whoever_commands_without_end_does_not_end_the_polling() -> None:
         assert len(came) >= 15
 
     play(script, {"poll": [{"values": ["status", "output_current"], "every": "100ms", "max_age": "500ms"}]})
+
+
+@pytest.mark.hazard("H06", "H09")
+def test_a_controller_that_sets_without_end_does_not_hide_a_reset() -> None:
+    """Its queue never empties; FA87 is looked at all the same, once a second."""
+
+    async def script(stage: Stage) -> None:
+        await started(stage)
+
+        async def set_without_end() -> None:
+            for number in range(1000):
+                await stage.ask(Verb.SET, name="terminal_output", value=f"{number % 2}")
+
+        setting = [asyncio.create_task(set_without_end()) for _ in range(3)]
+        beating = asyncio.create_task(stage.beat_for(60.0))
+        await asyncio.sleep(3.0)
+        memory = stage.bench.drive.inverter.memory
+        memory.write_ram(memory.named("reset_detection"), 0)
+        await asyncio.sleep(1.5)
+        assert ("d1", "disarmed", "the drive was reset") in stage.events
+        for task in (*setting, beating):
+            task.cancel()
+
+    play(script, {"poll": SELDOM})
+
+
+def test_a_drive_that_cannot_tell_whether_it_was_reset_is_asked_again_a_little_later() -> None:
+    """FA87 is refused with 04 (CPU busy): the line is not filled with the question."""
+
+    async def script(stage: Stage) -> None:
+        await started(stage)
+        resets, now = stage.door.controls["d1"].resets, asyncio.get_running_loop().time()
+        mark = stage.bench.configured.drives[0].model.registers["reset_detection"]
+        due = now + 2 * MARK_EVERY
+        assert resets.next_look(due) is not None
+        resets.refused(mark, Refusal.UNABLE, due)
+        assert resets.next_look(due + MARK_AGAIN / 2) is None
+        assert resets.next_time() == due + MARK_AGAIN
+        assert resets.next_look(due + MARK_AGAIN) is not None
+
+    play(script)
