@@ -23,6 +23,7 @@ from tests.mosquitto import Mosquitto
 from tests.mqtt import drives
 from tests.mqtt.rig import Cable
 from tests.sparkplug.edge_rig import Host, Running
+from tests.sparkplug.foreign import Decoder
 from tests.sparkplug.rig import section
 from tests.store.backlogs import QUICK
 
@@ -98,6 +99,22 @@ async def test_what_hosts_missed_comes_behind_the_births(tmp_path: Path) -> None
     assert host.kinds.index("DBIRTH pump-1") < host.kinds.index("DDATA pump-1")
     seqs = [sent.payload.seq for sent in host.sent]
     assert seqs == [number % 256 for number in range(len(seqs))]
+    assert _historical_to_others(host) == len(pump) + len(of_fan)
+
+
+def _historical_to_others(host: Host) -> int:
+    """Return how many metrics foreign decoders take for historical: as many each, and none of them live."""
+    with Decoder("pysparkplug") as google, Decoder("sparkplug-payload") as node:
+        counts = [0, 0]
+        for sent in host.sent:
+            ours = [bool(metric.is_historical) for metric in sent.payload.metrics]
+            raw = google.decode(sent.kind, sent.raw, sent.device)["raw"].get("metrics", [])
+            others = node.decode(sent.kind, sent.raw, sent.device).get("metrics", [])
+            theirs = ([m.get("is_historical", False) for m in raw], [m.get("isHistorical", False) for m in others])
+            assert theirs == (ours, ours)
+            counts = [count + sum(each) for count, each in zip(counts, theirs, strict=True)]
+    assert counts[0] == counts[1]
+    return counts[0]
 
 
 BODY = (
