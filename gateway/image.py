@@ -212,10 +212,16 @@ class DriveImage:
         if segment is None or offset + count > segment.count:
             return partial(self.read, start, count)
         first, end = 2 * offset, 2 * (offset + count)
+        whole = segment.words
+        words = whole[first:end]
 
         def read(now: float) -> bytes | Missing:
+            nonlocal whole, words
             if self._unreadable is None and segment.fresh_until >= now:
-                return segment.words[first:end]
+                if segment.words is not whole:
+                    whole = segment.words
+                    words = whole[first:end]
+                return words
             return self.read(start, count, now)
 
         return read

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -33,6 +33,7 @@ VALUES = (
     "output_terminals",
 )
 WORD = struct.Struct(">H")
+AHEAD = 0.000_001  # seconds that a kept age ends before its millisecond does: more than a time is rounded by
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +87,13 @@ class DriveBlock:
         milliseconds = int(max(age, 0.0) * 1000) if age * 1000 < NEVER_HEARD else NEVER_HEARD
         return self._before_age + WORD.pack(milliseconds) + self._after_age
 
+    def holds_until(self, now: float) -> float:
+        """Return up to when (monotonic) the words of this moment stay as they are, unless the drive changes."""
+        milliseconds = (now - self._image.changed_at) * 1000
+        if milliseconds >= NEVER_HEARD:
+            return self._valid_until
+        return min(self._valid_until, self._image.changed_at + (int(milliseconds) + 1) / 1000 - AHEAD)
+
     def _build(self, now: float) -> None:
         image = self._image
         self._revision = image.revision
@@ -124,10 +132,35 @@ class GatewayUnit:
         self._version = version_number(identity["version"])
         self._blocks = [DriveBlock(drive) for drive in image.drives]
         self._drives_end = REGISTERS_PER_DRIVE * len(self._blocks)
+        self._changes = 0  # of all drives together
+        image.subscribe(self._on_change)
+
+    def _on_change(self, _image: DriveImage, _names: Sequence[str]) -> None:
+        self._changes += 1
 
     def reading(self, start: int, count: int) -> Reading:
         """Return what reads these registers again and again."""
-        return partial(self.read, start, count)
+        if start + count <= self._drives_end:
+            return self._reading(start, count)
+        if self._user_map is None or start >= COUNTERS_AT:
+            return partial(self.read, start, count)
+        return self._user_map.reading(start, count)
+
+    def _reading(self, start: int, count: int) -> Reading:
+        """Return what reads the same registers of drives again: built anew when a drive or an age has changed."""
+        blocks = self._blocks[start // REGISTERS_PER_DRIVE : -(-(start + count) // REGISTERS_PER_DRIVE)]
+        words: bytes | Missing = b""
+        changes, holds_until = -1, 0.0
+
+        def read(now: float) -> bytes | Missing:
+            nonlocal words, changes, holds_until
+            if now > holds_until or changes != self._changes:
+                words = self.read(start, count, now)
+                changes = self._changes
+                holds_until = min([block.holds_until(now) for block in blocks])
+            return words
+
+        return read
 
     def read(self, start: int, count: int, now: float) -> bytes | Missing:
         """Return `count` registers from `start`, or UNMAPPED where they leave what this unit has."""

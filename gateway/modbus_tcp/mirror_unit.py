@@ -106,7 +106,7 @@ class MirrorUnit:
 
     def reading(self, start: int, count: int) -> Reading:
         """Return what reads these registers again and again."""
-        return partial(self.read, start, count)
+        return partial(self.read, start, count) if start >= MIRROR_AT else self._gateway_unit.reading(start, count)
 
     def read(self, start: int, count: int, now: float) -> bytes | Missing:
         """Return registers of the mirror, of the lines, or of what stands besides under this unit."""

@@ -104,6 +104,24 @@ class Run:
                     return missing
         return self._words[2 * (self._values[first].address - self.start) : 2 * (end - self.start)]
 
+    def reading(self, first: int, end: int) -> Reading:
+        """Return what reads these registers again and again."""
+        start = self._values[first].address
+        begin, stop = 2 * (start - self.start), 2 * (end - self.start)
+        whole = self._words
+        words = whole[begin:stop]
+
+        def read(now: float) -> bytes | Missing:
+            nonlocal whole, words
+            if self.is_due or self._fresh_until < now:
+                return self.read(first, end, now)
+            if self._words is not whole:
+                whole = self._words
+                words = whole[begin:stop]
+            return words
+
+        return read
+
     def _refresh(self, now: float) -> None:
         self.is_due = False
         for value in self._values:
@@ -143,7 +161,10 @@ class UserMap:
 
     def reading(self, start: int, count: int) -> Reading:
         """Return what reads these registers again and again."""
-        return partial(self.read, start, count)
+        found = self._at.get(start)
+        if found is None or start + count not in found[0].ends:
+            return partial(self.read, start, count)
+        return found[0].reading(found[1], start + count)
 
     def read(self, start: int, count: int, now: float) -> bytes | Missing:
         """Return registers as they stand on the wire; UNMAPPED for holes and for a part of a value."""

@@ -8,10 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.config import MapSection
 from gateway.image import Image, LinkState, Missing, Quality
 from gateway.metrics import LineStats, MqttStats, Stats
 from gateway.modbus_tcp.gateway_unit import COUNTERS, COUNTERS_AT, VALUES, GatewayUnit, version_number
 from gateway.modbus_tcp.server import IDENTITY
+from gateway.modbus_tcp.user_map import UserMap
 from tests.modbus_tcp.rig import ALL, NOW, answer, drive
 
 NONE = 0x8000
@@ -161,11 +163,45 @@ def test_the_block_kept_is_the_block_built_anew(data: st.DataObject) -> None:
     """Whatever answers, silences and times come: a unit that was read all along says the same as a new one."""
     image = Image([drive(max_ages={"trip_code": 3.0, "status": 0.5})])
     each, served, now = image.drives[0], unit(image), NOW
+    again = served.reading(0, 16)
     for _ in range(data.draw(st.integers(1, 12))):
-        now += data.draw(st.sampled_from([0.0, 0.1, 0.5, 0.6, 1.0, 2.5]))
+        now += data.draw(st.sampled_from([0.0, 0.0001, 0.0009, 0.1, 0.5, 0.6, 1.0, 2.5]))
         if data.draw(st.booleans()):
             names = data.draw(st.sets(st.sampled_from(sorted(ALL))))
             answer(each, now, **dict.fromkeys(names, data.draw(st.integers(0, 0xFFFF))))
         else:
             each.set_link(data.draw(st.sampled_from(LinkState)))
         assert words(served, 0, 16, now) == words(unit(image), 0, 16, now)
+        assert again(now) == served.read(0, 16, now)
+
+
+def test_what_is_read_again_is_built_anew_with_each_millisecond_and_each_change() -> None:
+    """Of the drives that are read, and not for each request; long silent ones have no age that goes on."""
+    image = online(1, 2)
+    served = unit(image)
+    again = served.reading(0, 32)
+    first = again(NOW + 0.0101)
+    assert again(NOW + 0.0109) is first
+    assert struct.unpack_from(">3H", cut(again(NOW + 0.0111))) == (0, 0, 11)
+    answer(image.drives[1], NOW + 0.0112, status=4)
+    assert struct.unpack_from(">4H", cut(again(NOW + 0.0112)), 32) == (0, 0, 0, 4)
+    image.drives[0].set_link(LinkState.OFFLINE)
+    assert struct.unpack_from(">2H", cut(again(NOW + 0.0112))) == (2, 2)
+    silent = again(NOW + 100.0)
+    assert again(NOW + 200.0) is silent
+
+
+def cut(told: bytes | Missing) -> bytes:
+    """Return what was read; AssertionError where it is not given."""
+    assert isinstance(told, bytes)
+    return told
+
+
+def test_a_user_map_beside_the_compact_one_is_read_again_by_its_own_way() -> None:
+    """Counters and holes are read each time."""
+    image = online(1)
+    maps = UserMap([MapSection(point="pump-1.status", address=0x6000, type="word")], image, IDENTITY)
+    served = GatewayUnit(image, Stats(0.0), IDENTITY, NOW, maps)
+    for start, count in ((0x6000, 1), (0x6001, 1), (COUNTERS_AT, 2), (15, 2)):
+        assert served.reading(start, count)(NOW) == served.read(start, count, NOW)
+    assert unit(image).reading(0x6000, 1)(NOW) is Missing.UNMAPPED
