@@ -14,8 +14,9 @@ from gateway.control.command import Channel, Source
 from gateway.modbus_tcp.hosts import host_of
 from gateway.modbus_tcp.places import Places
 from gateway.modbus_tcp.reception import Served
-from gateway.modbus_tcp.responder import GO_ON, READ_ON, Responder
+from gateway.modbus_tcp.responder import GO_ON, READ_ON, TRANSACTION, Responder
 from gateway.modbus_tcp.session import Session, Timer, Writer
+from gateway.modbus_tcp.sockets import Answering
 
 log = logging.getLogger("gateway.modbus_tcp")
 
@@ -25,7 +26,7 @@ DRAIN_WITHIN = 4.0  # seconds; a client that does not read is cut by the sweep a
 KEEP_ALIVE = (("TCP_KEEPIDLE", 15), ("TCP_KEEPINTVL", 5), ("TCP_KEEPCNT", 3))  # a dead peer is gone after 30 s
 
 
-class Connection(asyncio.Protocol):
+class Connection(Answering):
     """One client. Its requests are answered in turns, so that it cannot keep the loop from the lines."""
 
     def __init__(
@@ -39,7 +40,7 @@ class Connection(asyncio.Protocol):
     ) -> None:
         self._responder = responder
         self._writers = writers or {}
-        self._answer_again = responder.answer_again
+        self._known = responder.known
         self._serve = serve  # says by whom a client is served where that depends on its address
         self._now = clock.now
         self._places = places
@@ -77,17 +78,28 @@ class Connection(asyncio.Protocol):
 
     def _attend(self, served: Served) -> None:
         self._responder, self._writers, self._source = served.responder, served.writers, served.source
-        self._answer_again = served.responder.answer_again
+        self._known = served.responder.known
+
+    def answer_now(self, data: bytes, now: float) -> bytes | None:
+        """Answer what is whole by now; return the answer where nothing waits in front of it."""
+        if not self._data and not self._is_waiting and not self._owed:
+            again = self._known.get(data[TRANSACTION:])
+            if again is not None:  # nearly always: a lone request that was asked before
+                answer = again(now)
+                if answer is not None:
+                    self._heard_at = now
+                    return data[:TRANSACTION] + answer
+        self._take(data)
+        return None
 
     def data_received(self, data: bytes) -> None:
         """Answer what is whole by now."""
-        if not self._data and not self._is_waiting and not self._owed:
-            now = self._now()
-            answer = self._answer_again(data, now)
-            if answer is not None:  # nearly always: a lone request that was asked before
-                self._heard_at = now
-                self._write(answer)
-                return
+        answer = self.answer_now(data, self._now())
+        if answer is not None:
+            self._write(answer)
+
+    def _take(self, data: bytes) -> None:
+        """Answer what is whole by now, one request after the other."""
         self._data = self._data[self._at :] + data if self._data else data
         self._at = 0
         if not self._is_waiting:

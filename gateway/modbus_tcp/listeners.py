@@ -15,7 +15,7 @@ from gateway.modbus_tcp.handshakes import Handshakes
 from gateway.modbus_tcp.places import Places
 from gateway.modbus_tcp.reception import Reception
 from gateway.modbus_tcp.rtu_connection import RtuConnection
-from gateway.modbus_tcp.sockets import Listener, listen
+from gateway.modbus_tcp.sockets import Answering, Listener, listen
 from gateway.modbus_tcp.tls_connection import TlsClient
 from gateway.ports import explain_bind_error
 
@@ -32,17 +32,18 @@ class TcpListener:
 
     title = "MODBUS-TCP"
 
-    def __init__(self, key: str, listen: str, factory: Callable[[], asyncio.Protocol]) -> None:
+    def __init__(self, key: str, listen: str, factory: Callable[[], Answering], clock: Clock) -> None:
         self._key = key
         self._listen = listen
         self._factory = factory
+        self._clock = clock
         self._server: Listener | asyncio.Server | None = None
 
     async def start(self) -> None:
         """Listen from now on."""
         host, port = address(self._listen)
         try:
-            self._server = await listen(self._factory, host, port, BACKLOG)
+            self._server = await listen(self._factory, self._clock.now, host, port, BACKLOG)
         except OSError as error:
             raise explain_bind_error(error, host, port, self._key) from error
         log.info("%s on %s port %d", self.title, host, self.port)
@@ -98,7 +99,7 @@ class TlsListener(TcpListener):
         def client() -> TlsClient:
             return TlsClient(self._keyring, reception, clock, places, self._handshakes)
 
-        super().__init__("modbus_tcp.tls.listen", section.listen, client)
+        super().__init__("modbus_tcp.tls.listen", section.listen, client, clock)
 
     def pulse(self, now: float) -> None:
         """Give up handshakes that stall, and look after the certificates."""
@@ -126,9 +127,9 @@ def listeners(
     """Return the listeners of a configuration, the plain one first; `connect` serves clients without TLS."""
     found: list[TcpListener] = []
     if section.listen != OFF:
-        found.append(TcpListener("modbus_tcp.listen", section.listen, lambda: connect(Connection)))
+        found.append(TcpListener("modbus_tcp.listen", section.listen, lambda: connect(Connection), clock))
     if section.tls is not None:
         found.append(TlsListener(section.tls, reception, clock, places, stats, section.connections))
     if section.rtu is not None:
-        found.append(RtuListener("modbus_tcp.rtu.listen", section.rtu.listen, lambda: connect(RtuConnection)))
+        found.append(RtuListener("modbus_tcp.rtu.listen", section.rtu.listen, lambda: connect(RtuConnection), clock))
     return tuple(found)

@@ -53,8 +53,8 @@ class Unit(Protocol):
         ...
 
 
-Known = tuple[Reading, int, bytes]
-"""A request to read that was answered before: what reads it again, its function, and the answer up to its words."""
+Again = Callable[[float], bytes | None]
+"""Answers a request to read that was answered before, all but the transaction; None where `respond` has to."""
 
 Identify = Callable[[bytes, Mapping[str, str]], bytes | ExceptionCode]
 """Answers a request PDU of function 43 from an identity: the PDU of the answer, or the exception."""
@@ -96,19 +96,12 @@ class Responder:
         self._identify = identify
         self._requests = stats.requests
         self._exceptions = stats.exceptions
-        self._known: dict[bytes, Known] = {}
+        self._known: dict[bytes, Again] = {}
 
-    def answer_again(self, data: bytes, now: float) -> bytes | None:
-        """Answer a lone read that was answered before, without taking it apart; None where `respond` has to."""
-        known = self._known.get(data[TRANSACTION:])
-        if known is None:
-            return None
-        reading, function, head = known
-        words = reading(now)
-        if not isinstance(words, bytes):
-            return None
-        self._requests[function] += 1
-        return data[:TRANSACTION] + head + words
+    @property
+    def known(self) -> Mapping[bytes, Again]:
+        """Return what answers reads again that were answered before, by their bytes behind the transaction."""
+        return self._known
 
     def respond(self, data: bytes, at: int, limit: int, now: float, order: Order | None = None) -> Turn:
         """Answer the whole requests that stand in `data` from `at`, `limit` of them at most, in their order.
@@ -167,8 +160,26 @@ class Responder:
         told = bytes([function, 2 * count])
         if len(self._known) < KNOWN_AT_MOST:
             head = HEAD.pack(0, 3 + 2 * count) + frame[UNIT_AT : UNIT_AT + 1] + told
-            self._known[frame] = (served.reading(start, count), function, head)
+            self._known[frame] = self._again(served.reading(start, count), function, head)
         return told + words
+
+    def _again(self, reading: Reading, function: int, head: bytes) -> Again:
+        """Make what answers a read again; the answer is kept for as long as the same words are read."""
+        requests = self._requests
+        read: bytes | Missing = b""
+        answer = head
+
+        def again(now: float) -> bytes | None:
+            nonlocal read, answer
+            words = reading(now)
+            if words is not read:
+                if not isinstance(words, bytes):
+                    return None
+                read, answer = words, head + words
+            requests[function] += 1
+            return answer
+
+        return again
 
     def _identified(self, served: Unit, pdu: bytes) -> bytes | ExceptionCode:
         """Answer function 43; who was identified and is silent since then may be another drive by now."""

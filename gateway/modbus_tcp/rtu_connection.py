@@ -21,21 +21,26 @@ class RtuConnection(Connection):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Serve the client if there is a place for it."""
         self._framing = RtuFraming()
-        super().connection_made(_Wire(cast("asyncio.Transport", transport)))
+        wire = cast("asyncio.Transport", transport)
+        super().connection_made(_Wire(wire))
+        self._write = wire.write  # what is answered now is framed already
 
-    def data_received(self, data: bytes) -> None:
+    def answer_now(self, data: bytes, now: float) -> bytes | None:
         """Answer what is whole by now; close behind that where the stream is out of step."""
         if self._framing.out_of_step:
-            return
+            return None
         requests = self._framing.receive(data)
         if requests or not self._framing.is_amid:
             self._begun_at = None
         if self._framing.is_amid and self._begun_at is None:
-            self._begun_at = self._now()
-        if requests:
-            super().data_received(requests)
+            self._begun_at = now
+        answer = super().answer_now(requests, now) if requests else None
         if self._framing.out_of_step and not self._transport.is_closing():
+            if answer is not None:
+                self._transport.write(answer)
             self._close(f"what it sends is no MODBUS-RTU: {self._framing.out_of_step}")
+            return None
+        return None if answer is None else framed(answer)
 
     def overdue(self, now: float, idle_timeout: float) -> str | None:
         """Say why the time of this connection is over; None while it is not."""

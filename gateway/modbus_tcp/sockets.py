@@ -1,10 +1,18 @@
 """Clients' sockets, read in short turns: a line waits for one turn at most, however many clients ask.
 
-The transports of an event loop read every socket that has something before anything else goes on: with a hundred busy
-clients that is a millisecond, in which no line is served. Here one epoll instance stands for all clients and is one
-descriptor in the loop. A turn takes what some of them sent, for a bounded time; who is not reached is first in the
-next one, and in between the loop looks after the lines. What a line does goes on over several rounds of the loop:
-while there is something else to do in them, a turn takes one client only.
+The transports of an event loop read every socket that has something before anything else goes on: with a hundred
+busy clients that is a millisecond, in which no line is served. Here one epoll instance stands for all clients and is
+one descriptor in the loop. A turn reads what some of them sent, for a bounded time, and then writes all their
+answers; who is not reached is first in the next one, and in between the loop looks after the lines.
+
+Answers are written back to back because only the first of them has to wake a client's machine that sleeps. Writing
+takes about twice as long as reading and answering, so a turn lasts some 60 microseconds, and so long a line waits at
+the most: unless the last client that was read has sent many requests at once, or such that are asked for the first
+time, of which one connection answers a limited number.
+
+What a line does goes on over several rounds of the loop: while there is something else to do in them, a turn takes
+one client only. Whether there was shows in the time since the last turn: against the shortest such time, because
+that is the machine's and the loop's own.
 """
 
 from __future__ import annotations
@@ -16,15 +24,15 @@ import logging
 import os
 import select
 import socket
-import time
 from collections.abc import Callable, Sequence
 from typing import cast
 
 log = logging.getLogger("gateway.modbus_tcp")
 
 READY = 32  # clients that epoll names at once; those that a turn does not reach are first in the next one
-TURN = 0.000_06  # seconds, after which a turn takes no further client; the gap of a line is 1 ms at 38400 baud
-ALONE = 0.000_005  # seconds between two turns in which uvloop does nothing else; asyncio is seldom as quick
+TURN = 0.000_02  # seconds, after which a turn reads no further client; the gap of a line is 1 ms at 38400 baud
+ALONE = 2.0  # times the shortest time between two turns: in less, the loop has done nothing else
+FORGETS = 1.02  # by which the shortest one grows with each turn, so that it is one of the last hundred
 READ_SIZE = 192  # bytes read at once: 16 requests to read, which is what a connection answers in one turn
 ACCEPT_AGAIN = 1.0  # seconds, where the process or the system has no descriptor or memory left for a client
 SHORT_OF = frozenset((errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM))
@@ -35,15 +43,30 @@ DISCARDED = 64 * 1024  # bytes, that are taken off the system when a connection 
 WRITE_BUFFER = 64 * 1024  # bytes, by default, as asyncio has it
 
 
+AnswerNow = Callable[[bytes, float], bytes | None]
+"""Takes what a client sent; see Answering.answer_now."""
+
+
+class Answering(asyncio.Protocol):
+    """A protocol that may return its answer instead of writing it: a turn writes the answers of all in its end."""
+
+    def answer_now(self, data: bytes, now: float) -> bytes | None:
+        """Take what came; return what is to be sent next, None where nothing is, or where it was written.
+
+        `now` is when the turn came to this client (monotonic seconds).
+        """
+        self.data_received(data)
+        return None
+
+
 class ClientSocket(asyncio.Transport):
     """One client's socket, with the contract of asyncio.Transport as far as a connection uses it."""
 
-    def __init__(self, client: socket.socket, peer: object, protocol: asyncio.Protocol, turns: Turns) -> None:
+    def __init__(self, client: socket.socket, peer: object, protocol: Answering, turns: Turns) -> None:
         super().__init__({"socket": client, "peername": peer})
         self._socket = client
         self._fd = client.fileno()
         self._protocol = protocol
-        self.take = protocol.data_received
         self._turns = turns
         self._unsent = bytearray()
         self._high, self._low = WRITE_BUFFER, WRITE_BUFFER // 4
@@ -53,7 +76,11 @@ class ClientSocket(asyncio.Transport):
         self._is_cut = False
         self._is_lost = False
         self._mask = IN
-        turns.add(self._fd, self, self._mask)
+        turns.add(self._fd, self, protocol.answer_now, self._mask)
+
+    def take(self, data: bytes, _now: float) -> None:
+        """Hand on what came; its answer is written behind what is unsent."""
+        self._protocol.data_received(data)
 
     def read_failed(self, error: OSError | None) -> None:
         """Take that there is nothing more to read: an error, or None for the end of what the client sends."""
@@ -75,9 +102,11 @@ class ClientSocket(asyncio.Transport):
         return False
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Send at once what the system takes, and the rest when it takes more."""
-        if self._is_closing:
-            return
+        """Send at once what the system takes, and the rest when it takes more; an answer of this turn goes first."""
+        if not self._is_closing:
+            self._send(self._turns.held(self._fd) + data)
+
+    def _send(self, data: bytes) -> None:
         if not self._unsent:
             try:
                 sent = os.write(self._fd, data)
@@ -120,7 +149,7 @@ class ClientSocket(asyncio.Transport):
         mask = (IN if is_read else 0) | (OUT if self._unsent else 0)
         if mask != self._mask:
             self._mask = mask
-            self._turns.change(self._fd, mask)
+            self._turns.change(self._fd, self._protocol.answer_now, mask)
 
     def pause_reading(self) -> None:
         """Read no more."""
@@ -138,10 +167,11 @@ class ClientSocket(asyncio.Transport):
 
     def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
         """Let another protocol have all that comes from now on."""
-        self._protocol = cast("asyncio.Protocol", protocol)
-        self.take = self._protocol.data_received
+        self._protocol = cast("Answering", protocol)
+        if not self._is_lost:
+            self._turns.change(self._fd, self._protocol.answer_now, self._mask)
 
-    def get_protocol(self) -> asyncio.Protocol:
+    def get_protocol(self) -> Answering:
         """Return who has what comes."""
         return self._protocol
 
@@ -160,6 +190,9 @@ class ClientSocket(asyncio.Transport):
 
     def close(self) -> None:
         """Read no more, and close when everything is sent."""
+        held = self._turns.held(self._fd)
+        if held:
+            self._send(held)
         self._is_closing = True
         if self._unsent:
             self._watch()
@@ -196,55 +229,104 @@ class ClientSocket(asyncio.Transport):
 class Turns:
     """All clients of one server, in one epoll instance that the loop knows as one descriptor."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, loop: asyncio.AbstractEventLoop, now: Callable[[], float]) -> None:
         self._loop = loop
+        self._now = now
         self._epoll = select.epoll()
         self._clients: dict[int, ClientSocket] = {}
+        self._asking: dict[int, AnswerNow] = {}  # those who wait for nothing but what their clients ask
+        self._answers: dict[int, bytes] = {}  # of this turn, not written yet; nothing is unsent in front of them
         self._left: Sequence[tuple[int, int]] = NOBODY  # named by epoll, and not reached in the last turn
         self._ended = 0.0  # when the last turn did
+        self._shortest = float("inf")  # seconds from the end of a turn to the next one, when nothing else was done
         loop.add_reader(self._epoll.fileno(), self._turn)
 
-    def add(self, fd: int, client: ClientSocket, mask: int) -> None:
+    def add(self, fd: int, client: ClientSocket, answer_now: AnswerNow, mask: int) -> None:
         """Serve a client from the next turn on."""
-        self._clients[fd] = client
         self._epoll.register(fd, mask)
+        self._clients[fd] = client
+        self._asking[fd] = answer_now
 
-    def change(self, fd: int, mask: int) -> None:
+    def change(self, fd: int, answer_now: AnswerNow, mask: int) -> None:
         """Look for other events of a client."""
         self._epoll.modify(fd, mask)
+        self._asking.pop(fd, None)
+        if mask == IN:
+            self._asking[fd] = answer_now
 
     def drop(self, fd: int) -> None:
         """Serve a client no more; its descriptor may be closed then."""
         del self._clients[fd]
+        self._asking.pop(fd, None)
+        self._answers.pop(fd, None)
         self._epoll.unregister(fd)
 
+    def held(self, fd: int) -> bytes:
+        """Return a client's answer of this turn, empty where there is none; who asks for it writes it."""
+        return self._answers.pop(fd, b"")
+
     def _turn(self) -> None:
-        clients, now, read = self._clients, time.monotonic, os.read
-        begin = now()
-        end = begin + TURN if begin - self._ended < ALONE else begin
+        asking, answers, clock, read = self._asking, self._answers, self._now, os.read
+        now = clock()
+        since = now - self._ended
+        self._shortest = min(since, self._shortest * FORGETS)
+        end = now + TURN if since <= ALONE * self._shortest else now
         ready = iter(self._left or self._epoll.poll(0, READY))
         self._left = NOBODY
         for fd, events in ready:
-            client = clients.get(fd)
-            if client is None or (events != IN and not client.look(events)):
-                continue  # cut for something else that came meanwhile; or there is nothing to read
             try:
+                answer_now = (asking.get(fd) if events == IN else None) or self._look(fd, events)
+                if answer_now is None:
+                    continue  # cut for something else that came meanwhile; or there is nothing to read
                 data = read(fd, READ_SIZE)
                 if data:
-                    client.take(data)
+                    answer = answer_now(data, now)
+                    if answer is not None:
+                        answers[fd] = answer
                 else:
-                    client.read_failed(None)
+                    self._clients[fd].read_failed(None)
             except (BlockingIOError, InterruptedError):
                 continue
             except OSError as error:
-                client.read_failed(error)
-            except Exception as error:  # a defect: it costs this client its connection, and nobody else anything
-                self._loop.call_exception_handler({"message": "a MODBUS-TCP connection failed", "exception": error})
-                client.abort()
-            if now() > end:
+                if fd in self._clients:
+                    self._clients[fd].read_failed(error)
+            except Exception as error:
+                self._failed(fd, error)
+            now = clock()
+            if now > end:
                 self._left = tuple(ready)
                 break
-        self._ended = now()
+        self._write()
+        self._ended = clock()
+
+    def _look(self, fd: int, events: int) -> AnswerNow | None:
+        """See to what a client waits for besides; return who takes what it asks, None where it is not to be read."""
+        client = self._clients.get(fd)
+        return None if client is None or not client.look(events) else client.take
+
+    def _write(self) -> None:
+        """Write what was answered in this turn."""
+        write = os.write
+        answers, self._answers = self._answers, {}
+        for fd, answer in answers.items():
+            try:
+                sent = write(fd, answer)
+            except OSError:
+                sent = 0  # what it was shows when it is written again
+            if sent != len(answer):
+                self._write_on(fd, answer[sent:])
+
+    def _write_on(self, fd: int, rest: bytes) -> None:
+        try:
+            self._clients[fd].write(rest)
+        except Exception as error:
+            self._failed(fd, error)
+
+    def _failed(self, fd: int, error: Exception) -> None:
+        """Report a defect; it costs this client its connection, and nobody else anything."""
+        self._loop.call_exception_handler({"message": "a MODBUS-TCP connection failed", "exception": error})
+        if fd in self._clients:
+            self._clients[fd].abort()
 
     def close(self) -> None:
         """Leave the loop."""
@@ -255,11 +337,13 @@ class Turns:
 class Listener:
     """Sockets that are listened on; the contract is that of asyncio.Server as far as it is used here."""
 
-    def __init__(self, sockets: Sequence[socket.socket], connect: Callable[[], asyncio.Protocol]) -> None:
+    def __init__(
+        self, sockets: Sequence[socket.socket], connect: Callable[[], Answering], now: Callable[[], float]
+    ) -> None:
         self.sockets = tuple(sockets)
         self._connect = connect
         self._loop = asyncio.get_running_loop()
-        self._turns = Turns(self._loop)
+        self._turns = Turns(self._loop, now)
         self._waiting: set[asyncio.TimerHandle] = set()
         for listening in self.sockets:
             self._loop.add_reader(listening.fileno(), self._accept, listening)
@@ -300,9 +384,12 @@ class Listener:
 
 
 async def listen(
-    connect: Callable[[], asyncio.Protocol], host: str, port: int, backlog: int
+    connect: Callable[[], Answering], now: Callable[[], float], host: str, port: int, backlog: int
 ) -> Listener | asyncio.Server:
-    """Listen on every address of a host; OSError where one is not to be had. Without epoll the loop's own serve."""
+    """Listen on every address of a host; OSError where one is not to be had. Without epoll the loop's own serve.
+
+    `now` tells monotonic seconds.
+    """
     loop = asyncio.get_running_loop()
     if not HAS_EPOLL:
         return await loop.create_server(connect, host, port, backlog=backlog)
@@ -315,7 +402,7 @@ async def listen(
         for listening in sockets:
             listening.close()
         raise
-    return Listener(sockets, connect)
+    return Listener(sockets, connect, now)
 
 
 def _bound(family: int, kind: int, protocol: int, address: object, backlog: int) -> socket.socket:

@@ -22,6 +22,7 @@ from gateway.modbus_tcp.places import Places
 from gateway.modbus_tcp.reception import Reception
 from gateway.modbus_tcp.role_certificate import BadCertificate, RoleCertificate
 from gateway.modbus_tcp.role_certificate import read as read_certificate
+from gateway.modbus_tcp.sockets import Answering
 from gateway.modbus_tcp.wrapped import WrappedTransport
 
 log = logging.getLogger("gateway.modbus_tcp")
@@ -46,7 +47,7 @@ class SecuredConnection(Connection):
         return super().overdue(now, idle_timeout)
 
 
-class TlsClient(asyncio.Protocol):
+class TlsClient(Answering):
     """One socket of the TLS listener."""
 
     def __init__(

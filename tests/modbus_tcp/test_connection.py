@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from gateway.image import LinkState
 from gateway.modbus_tcp import responder
 from gateway.modbus_tcp.connection import DRAIN_WITHIN, IN_FLIGHT, WRITE_BUFFER
-from tests.modbus_tcp.rig import Rig, Wire, answer, answers, read, request, until
+from tests.modbus_tcp.rig import Desk, Rig, Wire, answer, answers, read, request, until, write
 
 IDLE = 60.0
 STREAM = b"".join(
@@ -135,6 +135,43 @@ def test_a_request_that_is_known_is_answered_from_the_image_as_it_is_now(functio
     drive.set_link(LinkState.LINE_DOWN)
     assert ask(6) == bytes([function | 0x80, 0x0A])
     assert rig.stats.tcp.requests == {function: 6}
+
+
+@pytest.mark.hazard("H26")
+async def test_an_answer_is_returned_where_nothing_stands_in_front_of_it() -> None:
+    """Else it is written, in its order: behind half a request, behind a write, and while nothing may be sent."""
+    rig, desk = Rig(), Desk()
+    rig.writers[1] = desk
+    wire = rig.connect()
+    again = read(2, 1, 0xFD00, 1)
+    now = rig.clock.now()
+    assert wire.connection.answer_now(read(1, 1, 0xFD00, 1), now) is None  # asked for the first time
+    assert wire.connection.answer_now(again, now) == b"\0\2" + wire.sent[2:]
+    assert len(wire.writes) == 1
+    assert wire.connection.answer_now(again[:7], now) is None
+    assert wire.connection.answer_now(again[7:] + again, now) is None
+    assert [transaction for transaction, _, _ in answers(wire.sent)] == [1, 2, 2]
+    assert wire.connection.answer_now(write(3, 1, 0xFA01, 5), now) is None
+    assert wire.connection.answer_now(again, now) is None
+    assert len(answers(wire.sent)) == 3
+    desk.finish()
+    await asyncio.sleep(0)
+    assert [transaction for transaction, _, _ in answers(wire.sent)] == [1, 2, 2, 3, 2]
+    wire.connection.pause_writing()
+    assert wire.connection.answer_now(again, now) is None
+    assert len(answers(wire.sent)) == 5
+    wire.connection.resume_writing()
+    assert len(answers(wire.sent)) == 6
+
+
+def test_an_answer_that_is_returned_keeps_the_connection_alive() -> None:
+    """As of the turn's moment."""
+    rig = Rig()
+    wire = rig.connect()
+    wire.connection.data_received(read(1, 1, 0xFD00, 1))
+    assert wire.connection.answer_now(read(2, 1, 0xFD00, 1), rig.clock.now() + 0.5) is not None
+    assert wire.connection.overdue(rig.clock.now() + IDLE + 0.5, IDLE) is None
+    assert wire.connection.overdue(rig.clock.now() + IDLE + 0.6, IDLE) is not None
 
 
 def test_requests_that_are_known_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:

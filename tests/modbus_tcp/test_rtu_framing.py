@@ -178,6 +178,23 @@ def test_a_frame_that_does_not_end_in_time_ends_the_connection(data: bytes) -> N
     assert wire.connection.overdue(rig.clock.moment, 60.0) == "a frame that has not ended within 1 s"
 
 
+def test_what_is_asked_again_is_returned_as_a_frame_and_written_where_the_end_comes_behind_it() -> None:
+    """By the short way as by the long one: the same frame, and before the connection closes."""
+    rig = Rig()
+    wire = connect(rig)
+    asked, now = frame(1, pdu_of(0xFD00, 4)), rig.clock.now()
+    assert wire.connection.answer_now(asked, now) is None
+    told = wire.sent
+    assert wire.connection.answer_now(asked, now) == told
+    wire.connection.data_received(asked)
+    assert wire.sent == told + told
+    assert wire.connection.answer_now(asked + bytes(LONGEST + 1), now) is None
+    assert wire.sent == told * 3
+    assert wire.is_closed
+    assert wire.connection.answer_now(asked, now) is None
+    assert wire.sent == told * 3
+
+
 @pytest.mark.hazard("H25")
 def test_between_frames_the_idle_timeout_holds() -> None:
     """A frame in two pieces is whole."""

@@ -8,6 +8,7 @@ import errno
 import select
 import socket
 import struct
+import time
 from collections.abc import AsyncIterator, Callable, Coroutine
 from typing import Any, cast
 
@@ -15,7 +16,7 @@ import pytest
 import uvloop
 
 from gateway.modbus_tcp import sockets
-from gateway.modbus_tcp.sockets import ClientSocket, Listener, listen
+from gateway.modbus_tcp.sockets import Answering, ClientSocket, Listener, listen
 from tests.modbus_tcp.rig import until
 
 pytestmark = pytest.mark.e2e
@@ -42,7 +43,7 @@ def run(request: pytest.FixtureRequest) -> Run:
     return in_time
 
 
-class Noting(asyncio.Protocol):
+class Noting(Answering):
     """A protocol that notes what it is told."""
 
     def __init__(self) -> None:
@@ -93,7 +94,7 @@ class Served:
 
     async def start(self) -> None:
         """Listen."""
-        self.listener = cast("Listener", await listen(self._make, "127.0.0.1", 0, 128))
+        self.listener = cast("Listener", await listen(self._make, time.monotonic, "127.0.0.1", 0, 128))
 
     async def connect(self) -> tuple[socket.socket, Noting]:
         """Open a connection; return its two ends."""
@@ -408,9 +409,9 @@ async def test_every_address_of_a_host_is_listened_on_or_none(monkeypatch: pytes
 
     monkeypatch.setattr(asyncio.get_running_loop(), "getaddrinfo", resolve)
     with pytest.raises(OSError, match="in use"):
-        await listen(Noting, "both", port, 8)
+        await listen(Noting, time.monotonic, "both", port, 8)
     found.pop()
-    listener = await listen(Noting, "first", port, 8)
+    listener = await listen(Noting, time.monotonic, "first", port, 8)
     assert [each.getsockname()[0] for each in listener.sockets] == ["127.0.0.2"]
     listener.close()
     await listener.wait_closed()
@@ -426,7 +427,7 @@ async def test_without_epoll_the_transports_of_the_loop_serve(monkeypatch: pytes
         made.append(Noting())
         return made[-1]
 
-    server = await listen(connect, "127.0.0.1", 0, 8)
+    server = await listen(connect, time.monotonic, "127.0.0.1", 0, 8)
     assert isinstance(server, asyncio.Server)
     _, writer = await asyncio.open_connection(*server.sockets[0].getsockname())
     writer.write(b"x")
