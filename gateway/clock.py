@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import ctypes
+import math
 import os
 import time
 from typing import Protocol
@@ -46,6 +47,17 @@ class Clock(Protocol):
     def alarm(self) -> Alarm:
         """Make a timer for one waiter."""
         ...
+
+
+_due: dict[int, float] = {}  # when the exact alarms of this process ring that are waited for, by descriptor
+
+
+def next_alarm() -> float:
+    """Return when the first exact alarm of this process rings (monotonic seconds); infinity where none is waited for.
+
+    Who has much to do that bears waiting keeps clear of that moment: it may be the end of a gap.
+    """
+    return min(_due.values(), default=math.inf)
 
 
 class SystemClock:
@@ -121,10 +133,12 @@ class _TimerFd:
         self._spec.value.seconds, self._spec.value.nanoseconds = divmod(nanoseconds, 1_000_000_000)
         self._waiter = self._loop.create_future()
         self._settime(self._fd, TFD_TIMER_ABSTIME, self._spec_address, None)
+        _due[self._fd] = when
         try:
             return await self._waiter
         finally:
             self._waiter = None
+            _due.pop(self._fd, None)
 
     def _rang(self) -> None:
         with contextlib.suppress(BlockingIOError):  # set anew between ringing and reading
@@ -142,4 +156,5 @@ class _TimerFd:
         """Close the descriptor."""
         if self._loop is not None and not self._loop.is_closed():
             self._loop.remove_reader(self._fd)
+        _due.pop(self._fd, None)
         os.close(self._fd)

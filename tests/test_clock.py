@@ -61,3 +61,22 @@ async def test_a_cancelled_wait_leaves_the_alarm_usable() -> None:
     await alarm.wait_until(when)
     assert clock.now() >= when
     alarm.close()
+
+
+async def test_the_next_alarm_is_the_first_that_somebody_waits_for() -> None:
+    """As long as it is waited for: not once it was rung, cancelled or closed."""
+    clock = SystemClock()
+    first, second = clock.alarm(), clock.alarm()
+    assert clocks.next_alarm() == float("inf")
+    when = clock.now() + 60.0
+    waiting = [asyncio.create_task(alarm.wait_until(at)) for alarm, at in ((first, when), (second, when + 1.0))]
+    await asyncio.sleep(0)
+    assert clocks.next_alarm() == when - clocks.WAKING
+    first.ring()
+    await waiting[0]
+    assert clocks.next_alarm() == when + 1.0 - clocks.WAKING
+    waiting[1].cancel()
+    await asyncio.wait(waiting)
+    assert clocks.next_alarm() == float("inf")
+    for alarm in (first, second):
+        alarm.close()

@@ -6,13 +6,14 @@ one descriptor in the loop. A turn reads what some of them sent, for a bounded t
 answers; who is not reached is first in the next one, and in between the loop looks after the lines.
 
 Answers are written back to back because only the first of them has to wake a client's machine that sleeps. Writing
-takes about twice as long as reading and answering, so a turn lasts some 60 microseconds, and so long a line waits at
-the most: unless the last client that was read has sent many requests at once, or such that are asked for the first
-time, of which one connection answers a limited number.
+takes about twice as long as reading and answering, so a turn lasts some 150 microseconds, and so long a line waits
+at the most: unless the last client that was read has sent many requests at once, or such that are asked for the
+first time, of which one connection answers a limited number.
 
-What a line does goes on over several rounds of the loop: while there is something else to do in them, a turn takes
-one client only. Whether there was shows in the time since the last turn: against the shortest such time, because
-that is the machine's and the loop's own.
+A line's own moments are the ends of its gaps, for which it has set an alarm: no turn of more than one client begins
+shortly before. What a line does then, or when an answer has arrived, goes on over several rounds of the loop: while
+there is something else to do in them, a turn takes one client only. Whether there was shows in the time since the
+last turn: against the shortest such time, because that is the machine's and the loop's own.
 """
 
 from __future__ import annotations
@@ -27,10 +28,13 @@ import socket
 from collections.abc import Callable, Sequence
 from typing import cast
 
+from gateway.clock import next_alarm
+
 log = logging.getLogger("gateway.modbus_tcp")
 
 READY = 32  # clients that epoll names at once; those that a turn does not reach are first in the next one
-TURN = 0.000_02  # seconds, after which a turn reads no further client; the gap of a line is 1 ms at 38400 baud
+TURN = 0.000_05  # seconds, after which a turn reads no further client; the gap of a line is 1 ms at 38400 baud
+LASTS = 0.000_15  # seconds, with the writing of the answers; a line's next alarm is not nearer when a turn begins
 ALONE = 2.0  # times the shortest time between two turns: in less, the loop has done nothing else
 FORGETS = 1.02  # by which the shortest one grows with each turn, so that it is one of the last hundred
 READ_SIZE = 192  # bytes read at once: 16 requests to read, which is what a connection answers in one turn
@@ -229,9 +233,12 @@ class ClientSocket(asyncio.Transport):
 class Turns:
     """All clients of one server, in one epoll instance that the loop knows as one descriptor."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, now: Callable[[], float]) -> None:
+    def __init__(
+        self, loop: asyncio.AbstractEventLoop, now: Callable[[], float], next_alarm: Callable[[], float] = next_alarm
+    ) -> None:
         self._loop = loop
         self._now = now
+        self._next_alarm = next_alarm
         self._epoll = select.epoll()
         self._clients: dict[int, ClientSocket] = {}
         self._asking: dict[int, AnswerNow] = {}  # those who wait for nothing but what their clients ask
@@ -270,7 +277,8 @@ class Turns:
         now = clock()
         since = now - self._ended
         self._shortest = min(since, self._shortest * FORGETS)
-        end = now + TURN if since <= ALONE * self._shortest else now
+        is_free = since <= ALONE * self._shortest and self._next_alarm() - now > LASTS
+        end = now + TURN if is_free else now
         ready = iter(self._left or self._epoll.poll(0, READY))
         self._left = NOBODY
         for fd, events in ready:

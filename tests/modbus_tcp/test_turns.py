@@ -73,8 +73,8 @@ class Asked(Answering):
 class Hall:
     """Clients at the ends of socket pairs, served in turns that a test makes."""
 
-    def __init__(self, now: Callable[[], float]) -> None:
-        self.turns = Turns(asyncio.get_running_loop(), now)
+    def __init__(self, now: Callable[[], float], next_alarm: Callable[[], float]) -> None:
+        self.turns = Turns(asyncio.get_running_loop(), now, next_alarm)
         asyncio.get_running_loop().remove_reader(self.turns._epoll.fileno())
         self.open: list[Asked] = []
 
@@ -96,9 +96,11 @@ class Hall:
 
 
 @contextlib.asynccontextmanager
-async def hall(now: Callable[[], float] = time.monotonic) -> AsyncIterator[Hall]:
+async def hall(
+    now: Callable[[], float] = time.monotonic, next_alarm: Callable[[], float] = lambda: float("inf")
+) -> AsyncIterator[Hall]:
     """Serve clients; in the end all are gone."""
-    made = Hall(now)
+    made = Hall(now, next_alarm)
     async with asyncio.timeout(LIMIT):
         yield made
         for each in made.open:
@@ -362,6 +364,20 @@ async def test_a_turn_behind_something_else_takes_one_client(monkeypatch: pytest
         for _ in range(40):  # the machine is slower from now on
             takes_all(9.0)
         assert takes_all(9.0)
+
+
+@pytest.mark.hazard("H25")
+@pytest.mark.parametrize(("until_alarm", "taken"), [(0.2, 3), (0.15, 1), (0.0, 1), (-1.0, 1)])
+async def test_a_turn_shortly_before_an_alarm_takes_one_client(
+    monkeypatch: pytest.MonkeyPatch, until_alarm: float, taken: int
+) -> None:
+    """A line sends then; an alarm that is late already is waited for too."""
+    monkeypatch.setattr(sockets, "LASTS", 0.16)
+    moment = itertools.count(1000.0, 0.001)
+    async with hall(lambda: next(moment), lambda: 1000.0 + until_alarm) as made:
+        clients = [made.enter() for _ in range(3)]
+        made.turn(*clients)
+        assert sum(len(each.moments) for each in clients) == taken
 
 
 async def test_the_end_behind_a_request_costs_no_answer() -> None:
