@@ -16,7 +16,7 @@ from gateway.modbus_tcp.places import Places
 from gateway.modbus_tcp.reception import Served
 from gateway.modbus_tcp.responder import GO_ON, READ_ON, TRANSACTION, Responder
 from gateway.modbus_tcp.session import Session, Timer, Writer
-from gateway.modbus_tcp.sockets import Answering
+from gateway.modbus_tcp.turns import Answering
 
 log = logging.getLogger("gateway.modbus_tcp")
 

@@ -15,8 +15,9 @@ from gateway.modbus_tcp.handshakes import Handshakes
 from gateway.modbus_tcp.places import Places
 from gateway.modbus_tcp.reception import Reception
 from gateway.modbus_tcp.rtu_connection import RtuConnection
-from gateway.modbus_tcp.sockets import Answering, Listener, listen
+from gateway.modbus_tcp.sockets import Listener, listen
 from gateway.modbus_tcp.tls_connection import TlsClient
+from gateway.modbus_tcp.turns import Answering
 from gateway.ports import explain_bind_error
 
 log = logging.getLogger("gateway.modbus_tcp")

@@ -22,7 +22,7 @@ from gateway.modbus_tcp.places import Places
 from gateway.modbus_tcp.reception import Reception
 from gateway.modbus_tcp.role_certificate import BadCertificate, RoleCertificate
 from gateway.modbus_tcp.role_certificate import read as read_certificate
-from gateway.modbus_tcp.sockets import Answering
+from gateway.modbus_tcp.turns import Answering
 from gateway.modbus_tcp.wrapped import WrappedTransport
 
 log = logging.getLogger("gateway.modbus_tcp")

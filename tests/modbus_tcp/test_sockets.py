@@ -15,8 +15,9 @@ from typing import Any, cast
 import pytest
 import uvloop
 
-from gateway.modbus_tcp import sockets
-from gateway.modbus_tcp.sockets import Answering, ClientSocket, Listener, listen
+from gateway.modbus_tcp import sockets, turns
+from gateway.modbus_tcp.sockets import ClientSocket, Listener, listen
+from gateway.modbus_tcp.turns import Answering
 from tests.modbus_tcp.rig import until
 
 pytestmark = pytest.mark.e2e
@@ -145,24 +146,24 @@ def test_a_turn_that_is_over_lets_the_loop_go_on_first(
     run: Run, monkeypatch: pytest.MonkeyPatch, turn: float, alone: float, served_by_one: int
 ) -> None:
     """Eight clients ask at once: where a turn is over after the first, the loop goes on between any two."""
-    monkeypatch.setattr(sockets, "TURN", turn)
-    monkeypatch.setattr(sockets, "ALONE", alone)
+    monkeypatch.setattr(turns, "TURN", turn)
+    monkeypatch.setattr(turns, "ALONE", alone)
 
     async def scenario() -> None:
         async with serving() as served:
             ends = [await served.connect() for _ in range(8)]
             order: list[int] = []
-            turns = served.listener._turns
-            asyncio.get_running_loop().remove_reader(turns._epoll.fileno())
+            its = served.listener._turns
+            asyncio.get_running_loop().remove_reader(its._epoll.fileno())
             for place, (client, protocol) in enumerate(ends):
                 protocol.on_data = lambda _, place=place: order.append(place)  # type: ignore[misc]
                 client.send(b"x")
-            await until(lambda: len(turns._epoll.poll(0)) == 8)
+            await until(lambda: len(its._epoll.poll(0)) == 8)
             for served_by_now in range(served_by_one, 9, served_by_one):
-                turns._turn()
+                its._turn()
                 assert len(order) == served_by_now
             assert sorted(order) == list(range(8))
-            asyncio.get_running_loop().add_reader(turns._epoll.fileno(), turns._turn)
+            asyncio.get_running_loop().add_reader(its._epoll.fileno(), its._turn)
             for client, _ in ends:
                 client.close()
 
@@ -173,7 +174,7 @@ def test_a_client_that_asks_all_the_time_does_not_keep_others_from_their_turn(
     run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One has a megabyte waiting, and turns are over after each client: the other one is served at once."""
-    monkeypatch.setattr(sockets, "TURN", -1.0)
+    monkeypatch.setattr(turns, "TURN", -1.0)
 
     async def scenario() -> None:
         async with serving() as served:

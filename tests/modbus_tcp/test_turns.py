@@ -13,10 +13,11 @@ from typing import Any
 
 import pytest
 
-from gateway.modbus_tcp import sockets
-from gateway.modbus_tcp.sockets import Answering, ClientSocket, Turns
+from gateway.modbus_tcp import turns
+from gateway.modbus_tcp.sockets import ClientSocket
+from gateway.modbus_tcp.turns import Answering, Turns
 
-pytestmark = pytest.mark.skipif(not sockets.HAS_EPOLL, reason="turns are made with epoll")
+pytestmark = pytest.mark.skipif(not turns.HAS_EPOLL, reason="turns are made with epoll")
 
 LIMIT = 10.0  # seconds for anything to happen
 
@@ -114,8 +115,8 @@ async def hall(
 @pytest.fixture(autouse=True)
 def long_turns(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a turn reach all clients, whatever the machine does meanwhile."""
-    monkeypatch.setattr(sockets, "TURN", LIMIT)
-    monkeypatch.setattr(sockets, "ALONE", float("inf"))
+    monkeypatch.setattr(turns, "TURN", LIMIT)
+    monkeypatch.setattr(turns, "ALONE", float("inf"))
 
 
 def between(first: Asked, second: Asked, happens: Callable[[], None]) -> list[Asked]:
@@ -334,7 +335,7 @@ async def test_a_defect_behind_an_answer_costs_its_client_the_connection_and_nob
 @pytest.mark.hazard("H25")
 async def test_a_turn_behind_something_else_takes_one_client(monkeypatch: pytest.MonkeyPatch) -> None:
     """The time between two turns tells it, against the shortest one; the machine's pace is learnt anew."""
-    monkeypatch.setattr(sockets, "ALONE", 2.0)
+    monkeypatch.setattr(turns, "ALONE", 2.0)
     moment = [1000.0]
 
     def now() -> float:
@@ -372,7 +373,7 @@ async def test_a_turn_shortly_before_an_alarm_takes_one_client(
     monkeypatch: pytest.MonkeyPatch, until_alarm: float, taken: int
 ) -> None:
     """A line sends then; an alarm that is late already is waited for too."""
-    monkeypatch.setattr(sockets, "LASTS", 0.16)
+    monkeypatch.setattr(turns, "LASTS", 0.16)
     moment = itertools.count(1000.0, 0.001)
     async with hall(lambda: next(moment), lambda: 1000.0 + until_alarm) as made:
         clients = [made.enter() for _ in range(3)]
