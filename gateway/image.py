@@ -13,7 +13,7 @@ from functools import partial
 from typing import NamedTuple
 
 from gateway.drives.register import Derived
-from gateway.segment import NEVER, Segment
+from gateway.segment import NEVER, Place, Segment
 from gateway.site import Drive, Point
 
 __all__ = ["NEVER", "DriveImage", "Image", "LinkState", "Listener", "Missing", "Quality", "Reading", "Sample"]
@@ -96,17 +96,22 @@ class DriveImage:
         self._unreadable: Missing | None = Missing.NOT_FRESH  # why the link lets nothing be read
         self._listeners: list[Listener] = []
         self._wall_offset = 0.0  # UTC minus monotonic seconds at the last answer
-        self._name_at = {point.register.address: name for name, point in self.points.items()}
+        self._newest_at = NEVER  # monotonic time of the last answer that brought a value
         self._segments: list[Segment] = []
         self._at: dict[int, tuple[Segment, int]] = {}
-        self._places: dict[str, tuple[Segment, int, str | None]] = {}  # by value, and what a derived one needs
-        self._swept: dict[str, Quality] = dict.fromkeys(self.points, Quality.NEVER_READ)
+        self.names = (*self.points, *self.derived)  # of all values, derived ones behind the registers
+        self.places: dict[str, Place] = {}
+        self.good_until = NEVER  # the values that listeners are just told of are all good until then; NEVER: ask each
+        self._turned = dict.fromkeys(self.names, Quality.NEVER_READ)  # what was told of those that are not good
+        self._calm_until = NEVER  # no value turns before, unless by an answer, the link or a base
+        self._known_bases: Mapping[str, Decimal] = {}  # at the last sweep
         self._lay_out()
+        self._place_at = {point.register.address: self.places[name] for name, point in self.points.items()}
 
     def _lay_out(self) -> None:
         """Make a segment of each run of numbers."""
         runs: list[list[int]] = []
-        for address in sorted(self._name_at):
+        for address in sorted(point.register.address for point in self.points.values()):
             if not runs or address != runs[-1][-1] + 1:
                 runs.append([])
             runs[-1].append(address)
@@ -114,15 +119,15 @@ class DriveImage:
             segment = Segment(len(run))
             self._segments.append(segment)
             self._at.update((address, (segment, offset)) for offset, address in enumerate(run))
-        for name, point in self.points.items():
-            self._places[name] = (*self._at[point.register.address], None)
+        for name in self.points:
+            self.places[name] = self._place(name, name)
         for name, derived in self.derived.items():
-            self._places[name] = (*self._at[self.points[derived.of].register.address], derived.base)
+            self.places[name] = self._place(name, derived.of, derived.base)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return the names of all values, derived ones behind the registers."""
-        return (*self.points, *self.derived)
+    def _place(self, name: str, of: str, base: str | None = None) -> Place:
+        point = self.points[of]
+        segment, offset = self._at[point.register.address]
+        return Place(name, segment, offset, mask=point.register.mask, max_age=point.max_age, base=base)
 
     def subscribe(self, listener: Listener) -> None:
         """Call `listener(image, names)` after each answer; without names after a change of the link."""
@@ -130,20 +135,32 @@ class DriveImage:
 
     def apply(self, words: Iterable[tuple[int, int]], now: float, wall: float) -> None:
         """Take the (communication number, word) pairs of one answer; what is no point is passed over."""
-        answer = [(self._name_at[address], address, word) for address, word in words if address in self._name_at]
-        for name, address, word in answer:
-            point = self.points[name]
-            segment, offset = self._at[address]
-            segment.put(offset, word & point.register.mask, now, now + point.max_age)
+        places = self._place_at
+        answer = [(place, word & place.mask) for address, word in words if (place := places.get(address)) is not None]
+        until = float("inf")
+        for place, word in answer:
+            expires = now + place.max_age
+            place.segment.put(place.offset, word, now, expires)
+            if expires < until:
+                until = expires
+        for segment in {place.segment for place, _ in answer}:
+            segment.seal()
         self.changed_at = now
         self._wall_offset = wall - now
         self.version += 1
         self.revision += 1
-        names = [name for name, _, _ in answer]
-        read = set(names)
-        names += [d.name for d in self.derived.values() if d.of in read and d.base in self.bases]
-        for name in names:
-            self._swept[name] = Quality.GOOD
+        self.good_until = until if self._unreadable is None else NEVER
+        if self.good_until < self._calm_until:
+            self._calm_until = self.good_until
+        names = [place.name for place, _ in answer]
+        if names:
+            self._newest_at = now
+        if self.bases and self.derived:
+            read = set(names)
+            names += [d.name for d in self.derived.values() if d.of in read and d.base in self.bases]
+        if self._turned:
+            for name in names:
+                self._turned.pop(name, None)
         self._tell(names)
 
     def set_link(self, link: LinkState, reason: str = "") -> None:
@@ -153,6 +170,7 @@ class DriveImage:
             return
         self.link, self.reason = link, reason
         self.revision += 1
+        self.good_until = self._calm_until = NEVER
         self._unreadable = None
         if not link.is_connected:
             self._unreadable = Missing.LINE_DOWN if link is LinkState.LINE_DOWN else Missing.NOT_FRESH
@@ -178,13 +196,18 @@ class DriveImage:
 
     def sweep(self, now: float) -> None:
         """Tell the listeners which values turned stale or went offline since they were last told."""
+        if now <= self._calm_until and self.bases == self._known_bases:
+            return
         turned = []
         for name in self.names:
             quality = self.quality(name, now)
-            if quality is not self._swept.get(name, Quality.NEVER_READ):
-                self._swept[name] = quality
+            if quality is not self._turned.get(name, Quality.GOOD):
+                self._turned[name] = quality
                 turned.append(name)
+        self._turned = {name: quality for name, quality in self._turned.items() if quality is not Quality.GOOD}
+        self._calm_until, self._known_bases = self.next_expiry(now), dict(self.bases)
         if turned:
+            self.good_until = NEVER
             self._tell(turned)
 
     def _tell(self, names: Sequence[str]) -> None:
@@ -232,8 +255,21 @@ class DriveImage:
             return Quality.NEVER_READ
         if not self.link.is_connected:
             return Quality.OFFLINE
-        are_fresh = all(segment.is_fresh(0, segment.count, now) for segment in self._segments)
-        return Quality.GOOD if are_fresh else Quality.STALE
+        return Quality.GOOD if self.is_fresh(now) else Quality.STALE
+
+    def is_fresh(self, now: float) -> bool:
+        """Say whether every register is good; a derived value is as well where its base is known."""
+        if self._unreadable is not None:
+            return False
+        for segment in self._segments:
+            if segment.fresh_until < now and not segment.is_fresh(0, segment.count, now):
+                return False
+        return True
+
+    @property
+    def newest_wall(self) -> float:
+        """Return when the newest value was read, in UTC seconds; 0 where none was, or before 1970."""
+        return max(0.0, self._newest_at + self._wall_offset)
 
     def next_expiry(self, now: float) -> float:
         """Return when the first of the values that are fresh now turns stale; infinity when none is."""
@@ -242,27 +278,29 @@ class DriveImage:
 
     def quality(self, name: str, now: float) -> Quality:
         """Return the quality of a value."""
-        return self.sample(name, now).quality
+        return self.quality_of(self.places[name], now)
+
+    def quality_of(self, place: Place, now: float) -> Quality:
+        """Return the quality of the value that stands there."""
+        if place.read_at[place.offset] == NEVER or (place.base is not None and place.base not in self.bases):
+            return Quality.NEVER_READ
+        if self._unreadable is not None:
+            return Quality.OFFLINE
+        return Quality.STALE if place.expires[place.offset] < now else Quality.GOOD
 
     def sample(self, name: str, now: float) -> Sample:
         """Return a value as it is now; a derived value has the word of the register behind it."""
-        segment, offset, base = self._places[name]
-        read_at = segment.read_at[offset]
-        if read_at == NEVER or (base is not None and base not in self.bases):
-            return Sample(0, Quality.NEVER_READ, float("inf"), 0.0)
-        word = segment.words[2 * offset] << 8 | segment.words[2 * offset + 1]
-        quality = Quality.GOOD
-        if not self.link.is_connected:
-            quality = Quality.OFFLINE
-        elif segment.expires[offset] < now:
-            quality = Quality.STALE
-        return Sample(word, quality, max(0.0, now - read_at), read_at + self._wall_offset)
+        place = self.places[name]
+        quality = self.quality_of(place, now)
+        if quality is Quality.NEVER_READ:
+            return Sample(0, quality, float("inf"), 0.0)
+        read_at = place.read_at[place.offset]
+        return Sample(place.numbers[place.offset], quality, max(0.0, now - read_at), read_at + self._wall_offset)
 
     def expiry(self, name: str) -> float:
         """Return the monotonic time past which a value is stale; NEVER where it has not been read."""
-        derived = self.derived.get(name)
-        segment, offset = self._at[self.points[derived.of if derived else name].register.address]
-        return segment.expires[offset]
+        place = self.places[name]
+        return place.expires[place.offset]
 
     def number(self, name: str, word: int) -> Decimal:
         """Return the engineering value that a word of this value stands for."""

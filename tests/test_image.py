@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from gateway.drives.model import Model
 from gateway.drives.register import Derived, Kind, Register
 from gateway.drives.scaling import Scaling
-from gateway.image import DriveImage, Image, LinkState, Missing, Quality
+from gateway.image import NEVER, DriveImage, Image, LinkState, Missing, Quality
 from gateway.site import Drive, Point
 
 NOW, WALL = 100.0, 1_700_000_000.0
@@ -140,7 +140,7 @@ def test_all_words_of_an_answer_appear_at_once() -> None:
 def test_an_answer_that_breaks_off_changes_nothing() -> None:
     """Half an answer is none."""
     image = online()
-    before = image.read(0xFD00, 4, NOW), image.version, image.revision
+    before = image.read(0xFD00, 4, NOW), image.sample("vfd00", NOW), image.version, image.revision
 
     def broken() -> Iterator[tuple[int, int]]:
         yield 0xFD00, 1
@@ -148,7 +148,7 @@ def test_an_answer_that_breaks_off_changes_nothing() -> None:
 
     with pytest.raises(ValueError, match="the rest"):
         image.apply(broken(), NOW, WALL)
-    assert (image.read(0xFD00, 4, NOW), image.version, image.revision) == before
+    assert (image.read(0xFD00, 4, NOW), image.sample("vfd00", NOW), image.version, image.revision) == before
 
 
 def test_numbers_that_are_no_points_are_passed_over() -> None:
@@ -169,6 +169,68 @@ def test_versions_count_answers_and_revisions_changes() -> None:
     assert image.revision == revision + 1
     image.apply([], NOW, WALL)
     assert (image.version, image.revision) == (version + 1, revision + 2)
+
+
+@pytest.mark.hazard("H19")
+def test_what_listeners_are_told_of_is_good_until_the_first_of_it_turns_stale() -> None:
+    """Of an answer; nothing is known of it beforehand once the link is lost, or for what turned stale."""
+    image = online()
+    seen: list[tuple[Sequence[str], float]] = []
+    image.subscribe(lambda told, names: seen.append((names, told.good_until)))
+    image.apply([(0xFD00, 1), (0xFD02, 1)], NOW, WALL)
+    image.apply([(0xFD02, 1)], NOW + 0.1, WALL)
+    image.sweep(NOW + 0.6)
+    image.set_link(LinkState.OFFLINE)
+    image.apply([(0xFD00, 1)], NOW + 1.0, WALL)
+    assert seen == [
+        (["vfd00", "vfd02"], NOW + 1.0),
+        (["vfd02"], NOW + 3.1),
+        (["vfd05"], NEVER),
+        ((), NEVER),
+        (["vfd00"], NEVER),
+    ]
+
+
+@pytest.mark.hazard("H19")
+def test_an_answer_of_a_lost_drive_is_swept_away_again() -> None:
+    """Though nothing has turned stale since the last sweep."""
+    image = online()
+    image.sweep(NOW)
+    image.set_link(LinkState.OFFLINE)
+    image.sweep(NOW)
+    told: list[Sequence[str]] = []
+    image.subscribe(lambda _, names: told.append(names))
+    image.apply([(0xFD00, 1)], NOW, WALL)
+    image.sweep(NOW)
+    assert told == [["vfd00"], ["vfd00"]]
+    assert image.quality("vfd00", NOW) is Quality.OFFLINE
+
+
+def test_a_sweep_tells_that_a_derived_value_has_lost_its_base_or_got_one() -> None:
+    """Another drive may have been found there."""
+    image = online()
+    image.sweep(NOW)
+    told: list[Sequence[str]] = []
+    image.subscribe(lambda _, names: told.append(names))
+    image.bases = {"base": Decimal("8.0")}
+    image.sweep(NOW)
+    image.bases = {}
+    image.sweep(NOW)
+    image.sweep(NOW)
+    assert told == [["amperes"], ["amperes"]]
+
+
+@pytest.mark.hazard("H19")
+def test_the_newest_reading_has_a_time() -> None:
+    """0 where there is none; an answer without any value of this drive is no reading."""
+    image = DriveImage(drive())
+    assert image.newest_wall == 0.0
+    image.set_link(LinkState.ONLINE)
+    image.apply([], NOW, WALL)
+    assert image.newest_wall == 0.0
+    image.apply([(0xFD00, 1)], NOW + 1.0, WALL + 1.0)
+    image.apply([(0xFD04, 1)], NOW + 2.0, WALL + 2.0)
+    assert image.newest_wall == WALL + 1.0
 
 
 @pytest.mark.hazard("H19")

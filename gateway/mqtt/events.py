@@ -52,12 +52,24 @@ class _Watch:
         self._is_tripped: bool | None = None
         self._is_reset_needed = False
         self._tripped_at: float | None = None  # a trip whose code is not known yet
+        self._noticed: tuple[object, ...] = ()
 
-    def notice(self, now: float) -> Iterator[Event]:
-        """Yield what is new."""
-        yield from self._link()
-        yield from self._reset()
-        yield from self._trip(now)
+    @property
+    def is_quiet(self) -> bool:
+        """Say whether nothing can be new: all is as it was when it was looked at last, and no code is waited for."""
+        return self._tripped_at is None and self._noticed == self._standing
+
+    @property
+    def _standing(self) -> tuple[object, ...]:
+        return self._image.link, self._image.is_tripped, self._image.is_reset_needed
+
+    def notice(self, now: float) -> list[Event]:
+        """Return what is new; most often nothing."""
+        if self.is_quiet:
+            return []
+        found = [*self._link(), *self._reset(), *self._trip(now)]
+        self._noticed = self._standing
+        return found
 
     def _event(self, kind: str, reason: str = "", **more: object) -> Event:
         return Event(self._image.drive.name, kind, reason, more)
@@ -115,13 +127,14 @@ class Events:
     def __init__(self, image: Image) -> None:
         self._watches = {each.drive.name: _Watch(each) for each in image.drives}
         for watch in self._watches.values():
-            list(watch.notice(0.0))
+            watch.notice(0.0)
 
     def notice(self, image: DriveImage, names: Sequence[str], now: float) -> list[Event]:
         """Return what is new after an answer, or, without names, after a change of the link; most often nothing."""
-        if names and TRIP_CODE not in names:
+        watch = self._watches[image.drive.name]
+        if watch.is_quiet or (names and TRIP_CODE not in names):
             return []
-        return list(self._watches[image.drive.name].notice(now))
+        return watch.notice(now)
 
     def look(self, now: float) -> list[Event]:
         """Return what has become known by waiting."""

@@ -31,13 +31,10 @@ class Policy:
         """Say whether a change is worth telling."""
         return abs(after - before) > max(self.band, abs(before) * self.share)
 
-    def is_too_soon(self, since: float) -> bool:
-        """Say whether a change has to wait, so many seconds after the value was published."""
-        return since < self.min_interval * (1 - EARLY)
-
-    def is_long_ago(self, since: float) -> bool:
-        """Say whether a value is to be published though it has not changed."""
-        return since >= self.max_interval
+    @property
+    def soonest(self) -> float:
+        """Return for how many seconds after it was published a change has to wait."""
+        return self.min_interval * (1 - EARLY)
 
 
 def policies(section: MqttSection, image: DriveImage) -> Mapping[str, Policy]:

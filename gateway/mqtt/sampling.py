@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from gateway.backlog import Kind, Reading
 from gateway.image import DriveImage, Quality
@@ -16,8 +16,7 @@ from gateway.mqtt.filters import Policy
 from gateway.mqtt.report import Report
 
 
-@dataclass(frozen=True, slots=True)
-class Taken:
+class Taken(NamedTuple):
     """What one answer brought of a drive, as words: cheap to make, since most of it the broker gets at once.
 
     `ms` is when that was, in milliseconds of UTC.
@@ -59,21 +58,36 @@ class Sampler:
 
         `now` and `wall` are monotonic and UTC seconds.
         """
-        image, report = self._image, self._report
+        image, values = self._image, self._report.values
+        if not names:
+            turned = [name for name in image.names if values[name].quality is not image.quality(name, now)]
+            return self._take(turned, now, wall)
+        if now > image.good_until:
+            return self._take(names, now, wall)
+        found = []
+        for name in names:
+            said, place = values[name], image.places[name]
+            word = place.numbers[place.offset]
+            if said.is_due(word, Quality.GOOD, now):
+                said.note(word, Quality.GOOD, now)
+                found.append((name, word, Quality.GOOD))
+        return Taken(image, round((image.newest_wall or wall) * 1000), found) if found else None
+
+    def _take(self, names: Sequence[str], now: float, wall: float) -> Taken | None:
+        """Take values of which each may be of another quality and age."""
         found, newest = [], 0.0
-        for name in names or image.names:
-            sample = image.sample(name, now)
-            if not names and not report.has_turned(name, sample.quality):
+        for name in names:
+            word, quality, _, read_at = self._image.sample(name, now)
+            said = self._report.values[name]
+            if quality is Quality.NEVER_READ or not said.is_due(word, quality, now):
                 continue
-            if sample.quality is Quality.NEVER_READ or not report.is_due(name, sample, now):
-                continue
-            report.note(name, sample, now)
-            found.append((name, sample.word, sample.quality))
-            if sample.quality is Quality.GOOD:
-                newest = max(newest, sample.wall)
-        return Taken(image, round((newest or wall) * 1000), found) if found else None
+            said.note(word, quality, now)
+            found.append((name, word, quality))
+            if quality is Quality.GOOD:
+                newest = max(newest, read_at)
+        return Taken(self._image, round((newest or wall) * 1000), found) if found else None
 
     def release(self, now: float, wall: float) -> Taken | None:
         """Take what had to wait for its turn, when that has come."""
         names = self._report.released(now)
-        return self.take(names, now, wall) if names else None
+        return self._take(names, now, wall) if names else None

@@ -36,6 +36,15 @@ def test_the_text_form_is_exact(scaling: Scaling, word: int) -> None:
     assert Decimal(f"{value:.{scaling.digits}f}") == value
 
 
+@pytest.mark.parametrize("signed", [False, True])
+@pytest.mark.parametrize("scale", SCALES)
+def test_the_text_that_is_written_is_the_value(scale: Decimal, signed: bool) -> None:
+    """With the decimals of the scale, of words around every end and in between."""
+    scaling = Scaling(scale, signed)
+    for word in (*range(300), *range(0x7F00, 0x8100), *range(0xFF00, 0x10000), 6000, 12_345, 50_001):
+        assert scaling.format(word) == f"{scaling.decode(word):.{scaling.digits}f}"
+
+
 numbers = st.decimals() | st.decimals(-400, 700, places=3) | st.integers(-40_000, 70_000).map(Decimal)
 
 

@@ -55,6 +55,18 @@ def test_a_trip_is_told_with_its_code_and_text() -> None:
     assert made.look(60.0) == []
 
 
+def test_a_trip_that_nobody_was_told_of_is_found_by_the_next_look() -> None:
+    """Also where the drive was looked at before and all was quiet."""
+    made = Watched()
+    made.pump.set_tripped(False)
+    assert made.look(1.0) == []
+    made.pump.is_tripped = True
+    drives.read(made.pump, 1.1, output_frequency=1)
+    assert made.news() == []
+    drives.read(made.pump, 1.2, trip_code=1)
+    assert made.news() == [("trip", "OC1: overcurrent during acceleration")]
+
+
 def test_a_trip_whose_code_came_with_it_is_told_at_once() -> None:
     """The code may be the sign of the trip."""
     made = Watched()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from datetime import UTC, datetime
 from decimal import Decimal
 from typing import Any
 
@@ -12,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.drives.register import Kind, Register
-from gateway.image import DriveImage, LinkState, Quality, Sample
+from gateway.image import DriveImage, LinkState, Quality
 from gateway.mqtt import payload
 from gateway.site import Point
 from tests.mqtt import drives
@@ -25,9 +26,9 @@ def pump() -> DriveImage:
     return drives.image().drives[0]
 
 
-def good(word: int) -> Sample:
-    """Return a fresh reading."""
-    return Sample(word, Quality.GOOD, 0.0, drives.WALL)
+def spelling(name: str) -> payload.Spelling:
+    """Return how a value of a drive is spelt."""
+    return payload.Spelling(pump(), name)
 
 
 def state(image: DriveImage, now: float) -> dict[str, Any]:
@@ -38,24 +39,23 @@ def state(image: DriveImage, now: float) -> dict[str, Any]:
 
 def test_a_value_has_the_decimals_of_its_scale() -> None:
     """6000 at 0.01 is "60.00", and a sign is kept."""
-    assert payload.value(pump(), "output_frequency", good(6000)) == "60.00"
-    assert payload.value(pump(), "torque", good(0xFFFB)) == "-0.05"
+    assert spelling("output_frequency").value(6000, Quality.GOOD) == "60.00"
+    assert spelling("torque").value(0xFFFB, Quality.GOOD) == "-0.05"
 
 
 @pytest.mark.hazard("H19")
 @pytest.mark.parametrize("quality", [Quality.STALE, Quality.OFFLINE, Quality.NEVER_READ])
 def test_what_is_not_good_has_no_number_and_no_words(quality: Quality) -> None:
     """An empty payload makes the broker forget the number that it retains."""
-    old = Sample(1, quality, 9.0, drives.WALL)
-    assert payload.value(pump(), "output_frequency", old) == ""
-    assert payload.text(pump(), "status", old) == ""
+    assert spelling("output_frequency").value(1, quality) == ""
+    assert spelling("status").text(1, quality) == ""
 
 
 def test_bits_and_codes_are_said_in_words() -> None:
     """No set bit is a word too: an empty payload means that nothing is known."""
-    assert payload.text(pump(), "status", good(0b101)) == "running, tripped"
-    assert payload.text(pump(), "status", good(0)) == "none"
-    assert payload.text(pump(), "trip_code", good(1)) == "OC1: overcurrent during acceleration"
+    assert spelling("status").text(0b101, Quality.GOOD) == "running, tripped"
+    assert spelling("status").text(0, Quality.GOOD) == "none"
+    assert spelling("trip_code").text(1, Quality.GOOD) == "OC1: overcurrent during acceleration"
 
 
 def test_times_are_utc_with_milliseconds() -> None:
@@ -63,6 +63,13 @@ def test_times_are_utc_with_milliseconds() -> None:
     assert payload.timestamp(drives.WALL) == "2026-03-01T12:00:00.250Z"
     assert payload.timestamp(1_772_366_400.0) == "2026-03-01T12:00:00.000Z"
     assert payload.timestamp(1_772_366_399.9996) == "2026-03-01T11:59:59.999Z"
+
+
+@given(wall=st.floats(0.0, 4e9) | st.integers(0, 4 * 10**12).map(lambda ms: ms / 1000))
+def test_a_time_of_a_second_that_is_known_is_the_time_made_anew(wall: float) -> None:
+    """To the millisecond, as the library has it."""
+    exact = datetime.fromtimestamp(wall, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    assert payload.timestamp(wall) == exact
 
 
 def test_the_state_is_flat_json_of_numbers_and_words() -> None:
@@ -133,7 +140,7 @@ def test_a_gateway_that_leaves_takes_its_numbers_back() -> None:
     left = json.loads(payload.StateWriter(image).write(0.0, is_leaving=True))
     assert left["quality"] == "offline"
     assert left["output_frequency"] is None
-    assert payload.left_behind(Sample(0, Quality.NEVER_READ, 0.0, 0.0)).quality is Quality.NEVER_READ
+    assert payload.left_behind(Quality.NEVER_READ) is Quality.NEVER_READ
 
 
 def test_a_value_called_like_a_key_of_the_state_keeps_out_of_its_way() -> None:

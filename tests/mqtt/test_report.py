@@ -128,6 +128,24 @@ def test_what_was_not_said_stays_due() -> None:
     assert drive.report.is_due("output_frequency", sample, 0.0)
 
 
+@pytest.mark.parametrize("name", ["output_frequency", "torque"])
+@given(before=st.integers(0, 0xFFFF), step=st.integers(-60, 60), band=st.decimals(0, 700, places=3))
+def test_a_deadband_in_counts_is_the_one_in_units(name: str, before: int, step: int, band: Decimal) -> None:
+    """Signed or not; it need not be a whole number of counts."""
+    drive, after = Reported({name: float(band)}), (before + step) % 0x10000
+    drive.read(0.0, **{name: before})
+    moved = abs(drive.image.number(name, after) - drive.image.number(name, before)) > band
+    assert (drive.read(0.1, **{name: after}) == {name}) is (moved or (not band and before != after))
+
+
+def test_an_endless_deadband_is_never_left() -> None:
+    """Only the longest silence says such a value again."""
+    drive = Reported({"torque": 1e30}, silence=10.0)
+    drive.read(0.0, torque=0x7FFF)
+    assert not drive.read(1.0, torque=0x8000)
+    assert drive.read(10.0, torque=0x8000)
+
+
 words = st.lists(st.integers(0, 0xFFFF) | st.integers(5900, 6100), min_size=1, max_size=40)
 
 
