@@ -45,6 +45,8 @@ class RememberedLine:
     received: bytearray = field(default_factory=bytearray)
     quiet_from: float = 0.0
     busy: float = 0.0
+    first: float = 0.0  # the last request that was counted before
+    last: float = 0.0  # the last one of all
     requests: int = 0
     violations: int = 0
     late: list[float] = field(default_factory=list)
@@ -60,6 +62,7 @@ class RememberedLine:
         frame = bytes(self.received)
         self.received.clear()
         self.requests += 1
+        self.last = now
         self.violations += now < self.quiet_from - EARLY
         answer = self._answer(frame, now)
         if answer is None:
@@ -78,15 +81,17 @@ class RememberedLine:
         return known
 
     def counted(self) -> dict[str, float]:
-        """Return what was counted since the last time, and begin anew."""
+        """Return what was counted since the last time, and begin anew; the `whole` requests took so many seconds."""
         late = sorted(self.late)
         told = {
             "busy": self.busy,
             "requests": self.requests,
+            "whole": self.last - self.first,
             "violations": self.violations,
             "late_p99": late[int(0.99 * len(late))] if late else 0.0,
         }
         self.busy, self.requests, self.violations, self.late = 0.0, 0, 0, []
+        self.first = self.last
         return told
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from bench import block_forms, control_cycle, one_drive, run
+from bench import block_forms, control_cycle, mqtt_throughput, one_drive, run
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,3 +92,20 @@ def test_forms_and_cycles_are_measured() -> None:
     assert cycle.is_obeyed
     assert form.form in block_forms.row(form)
     assert cycle.master in control_cycle.row(cycle)
+
+
+def test_a_load_costs_the_line_what_it_has_less_than_beside_it() -> None:
+    """In points; a line that grows slower all the time costs nothing."""
+    assert mqtt_throughput.costs([0.97, 0.97, 0.95], [0.96, 0.96]) == pytest.approx([1.0, 0.0])
+    assert mqtt_throughput.costs([0.97, 0.95], [0.96]) == pytest.approx([0.0])
+
+
+def test_a_row_of_throughput_has_medians_and_quartiles() -> None:
+    """Of idle and of loaded stretches."""
+    idle = [mqtt_throughput.Stretch(0.0, 0.02, 0.0, 0.0, 0.97)] * 4
+    loaded = [mqtt_throughput.Stretch(20_000.0, 0.4, 0.2, 0.1, share) for share in (0.96, 0.965, 0.97)]
+    told = mqtt_throughput.row(mqtt_throughput.Row(0, "state", 20_000.0, 0, idle, loaded))
+    assert told.split() == [
+        *("0", "state", "20000", "20000", "0", "40%", "20%", "10%", "97.0%", "96.5%"),
+        *("0.50", "(0.00", "to", "1.00)"),
+    ]
