@@ -297,6 +297,10 @@ class DriveImage:
         read_at = place.read_at[place.offset]
         return Sample(place.numbers[place.offset], quality, max(0.0, now - read_at), read_at + self._wall_offset)
 
+    def wall_of(self, place: Place) -> float:
+        """Return when the value that stands there was read, in UTC seconds."""
+        return place.read_at[place.offset] + self._wall_offset
+
     def expiry(self, name: str) -> float:
         """Return the monotonic time past which a value is stale; NEVER where it has not been read."""
         place = self.places[name]

@@ -29,6 +29,7 @@ class Scaling:
     signed: bool = False
 
     digits: int = field(init=False, repr=False, compare=False)  # decimals that the scale gives: 0.01 has 2
+    _counts: int = field(init=False, repr=False, compare=False)  # in one unit, 100 at 0.01; 0 where that is not whole
     format: Callable[[int], str] = field(init=False, repr=False, compare=False)
     """Raw word to text with the scale's decimals: 6000 at 0.01 is "60.00". Made once, since it is called so often."""
 
@@ -37,6 +38,7 @@ class Scaling:
         digits = max(0, -exponent) if isinstance(exponent, int) else 0
         is_decimal = self.scale == Decimal(1).scaleb(-digits)
         object.__setattr__(self, "digits", digits)
+        object.__setattr__(self, "_counts", 10**digits if is_decimal else 0)
         object.__setattr__(self, "format", _decimal(digits, signed=self.signed) if is_decimal else self._exact)
 
     @property
@@ -51,6 +53,10 @@ class Scaling:
     def decode(self, word: int) -> Decimal:
         """Raw word to engineering value, exactly: 6000 at 0.01 is 60.00."""
         return self.raw(word) * self.scale
+
+    def nearest(self, word: int) -> float:
+        """Raw word to the floating-point number that is nearest to the engineering value."""
+        return self.raw(word) / self._counts if self._counts else float(self.decode(word))
 
     def _exact(self, word: int) -> str:
         """Write the number of a scale that is no power of ten."""

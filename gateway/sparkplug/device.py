@@ -6,18 +6,19 @@ What is owed is kept as names, never as values: whatever is sent is as it stands
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from gateway.control.drive_control import DriveControl
 from gateway.drives.model import Model
-from gateway.image import DriveImage, Quality, Sample
+from gateway.image import DriveImage, Quality
 from gateway.mqtt.filters import unfiltered
+from gateway.mqtt.payload import Spelling
 from gateway.mqtt.report import Report
 from gateway.sparkplug import drive_metrics
-from gateway.sparkplug.definition import in_order
+from gateway.sparkplug.definition import Teller, in_order
 from gateway.sparkplug.drive_metrics import BUTTONS, INPUTS, DriveMetrics
-from gateway.sparkplug.payload import Metric, Value
+from gateway.sparkplug.payload import Metric, Value, Written
 
 FOR_EVER = float("inf")  # seconds: data is sent when it changes, and not merely since time passes
 MOST_TOLD = 32  # results and events that may wait for one drive
@@ -30,6 +31,22 @@ class Moment:
 
     now: float
     ms: int
+
+
+class _Shown:
+    """One value on its way to the hosts: all that is known of it, found once."""
+
+    __slots__ = ("definition", "name", "number", "place", "teller", "text", "text_teller", "words")
+
+    def __init__(self, image: DriveImage, metrics: DriveMetrics, name: str) -> None:
+        self.name = name
+        self.place = image.places[name]
+        self.definition = metrics.values[name]
+        self.teller = Teller(self.definition)
+        self.number = drive_metrics.number_of(image, name, self.definition.datatype)
+        self.text = metrics.texts.get(name)
+        self.text_teller = Teller(self.text) if self.text is not None else None
+        self.words = Spelling(image, name).words
 
 
 class Device:
@@ -50,6 +67,7 @@ class Device:
         self._control = control
         self._policies = unfiltered(deadband, FOR_EVER, image)
         self._report = Report(image, self._policies)
+        self._shown = {name: _Shown(image, metrics, name) for name in image.names}
         self._owes_death = False
         self._owed: dict[str, None] = {}
         self._qualities: dict[str, Quality] = {}
@@ -104,8 +122,15 @@ class Device:
         if not self._image.link.is_connected:
             self._owes_death = True
             return
-        for name in names or self._image.names:
-            if self._report.is_due(name, self._image.sample(name, now), now):
+        image, values = self._image, self._report.values
+        are_good = bool(names) and now <= image.good_until
+        for name in names or image.names:
+            if are_good:
+                place = image.places[name]
+                word, quality = place.numbers[place.offset], Quality.GOOD
+            else:
+                word, quality, _, _ = image.sample(name, now)
+            if values[name].is_due(word, quality, now):
                 self._owed[name] = None
 
     def note(self, name: str, text: str, ms: int) -> bool:
@@ -143,18 +168,20 @@ class Device:
             text, ms = self._last.get(name, (None, moment.ms))
             yield definition.born(text, ms)
         for name in self._image.names:
-            yield from self._value(name, moment, is_birth=True)
+            yield from self._value(self._shown[name], moment, is_birth=True)
 
-    def data(self, moment: Moment) -> tuple[Metric, ...]:
+    def data(self, moment: Moment) -> tuple[Metric | Written, ...]:
         """Return what changed, for a DDATA: at most as many values as go into one message."""
         metrics = self.metrics
-        changed = [metrics.standing[name].told(self._standing[name], moment.ms) for name in self._look(moment.ms)]
+        changed: list[Metric | Written] = [
+            metrics.standing[name].told(self._standing[name], moment.ms) for name in self._look(moment.ms)
+        ]
         while self._told:
             name, text, ms = self._told.popleft()
             changed.append(metrics.told[name].told(text, ms))
         for name in list(self._owed)[:MOST_VALUES]:
             del self._owed[name]
-            changed += self._value(name, moment, is_birth=False)
+            changed += self._told_value(self._shown[name], moment)
         return in_order(changed)
 
     def death(self) -> None:
@@ -171,23 +198,32 @@ class Device:
         self._since |= dict.fromkeys(news, ms)
         return news
 
-    def _value(self, name: str, moment: Moment, *, is_birth: bool) -> Iterator[Metric]:
+    def _told_value(self, shown: _Shown, moment: Moment) -> Iterable[Metric | Written]:
+        """Return a value as data; what is as good as hosts were told, as nearly always, in bytes at once."""
+        image, place = self._image, shown.place
+        if self._qualities.get(shown.name) is not Quality.GOOD:
+            return self._value(shown, moment, is_birth=False)
+        if image.quality_of(place, moment.now) is not Quality.GOOD:
+            return self._value(shown, moment, is_birth=False)
+        word, ms = place.numbers[place.offset], round(image.wall_of(place) * 1000)
+        self._report.values[shown.name].note(word, Quality.GOOD, moment.now)
+        told = [shown.teller.told(shown.number(word), ms)]
+        if shown.text_teller is not None:
+            told.append(shown.text_teller.told(shown.words(word), ms))
+        return told
+
+    def _value(self, shown: _Shown, moment: Moment, *, is_birth: bool) -> Iterator[Metric]:
         """Yield a value, and its words where it has some; what is not good is null, and so since now."""
-        sample = self._image.sample(name, moment.now)
-        quality, ms = sample.quality, _time_of(sample, moment.ms)
-        tells_quality = is_birth or quality is not Quality.GOOD or self._qualities.get(name) is not quality
-        shown = quality if tells_quality else None
-        self._report.note(name, sample, moment.now)
+        name = shown.name
+        word, quality, _, wall = self._image.sample(name, moment.now)
+        is_good = quality is Quality.GOOD
+        ms = round(wall * 1000) if is_good else moment.ms
+        tells_quality = is_birth or not is_good or self._qualities.get(name) is not quality
+        code = quality if tells_quality else None
+        self._report.values[name].note(word, quality, moment.now)
         self._qualities[name] = quality
-        definition, text = self.metrics.values[name], self.metrics.texts.get(name)
-        say = definition.born if is_birth else definition.told
-        yield say(drive_metrics.value_of(self._image, name, definition.datatype, sample.word, quality), ms, shown)
-        if text is not None:
-            say = text.born if is_birth else text.told
-            yield say(drive_metrics.text_of(self._image, name, sample.word, quality), ms, shown)
-
-
-def _time_of(sample: Sample, ms: int) -> int:
-    return round(sample.wall * 1000) if sample.quality is Quality.GOOD else ms
-
-
+        say = shown.definition.born if is_birth else shown.definition.told
+        yield say(shown.number(word) if is_good else None, ms, code)
+        if shown.text is not None:
+            say = shown.text.born if is_birth else shown.text.told
+            yield say(shown.words(word) if is_good else None, ms, code)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from gateway.control.drive_control import DriveControl
-from gateway.image import DriveImage, Quality
-from gateway.mqtt import payload
+from gateway.image import DriveImage
 from gateway.mqtt.topics import has_text
 from gateway.sparkplug.definition import Definer, Definition
 from gateway.sparkplug.payload import DataType, Value
@@ -125,17 +124,15 @@ def _type_of(image: DriveImage, name: str) -> DataType:
     return DataType.UINT16 if scaling.scale == 1 and not scaling.signed else DataType.INT32
 
 
-def value_of(image: DriveImage, name: str, datatype: DataType, word: int, quality: Quality) -> Value:
-    """Return what the metric of a value shows: null where the value is not good, never an old number as if new."""
-    if quality is not Quality.GOOD:
-        return None
-    number = image.number(name, word)
-    return float(number) if datatype is DataType.DOUBLE else int(number)
-
-
-def text_of(image: DriveImage, name: str, word: int, quality: Quality) -> Value:
-    """Return the words of a bit field or a code; null where it is not good."""
-    return (image.text(name, word) or payload.NO_BITS) if quality is Quality.GOOD else None
+def number_of(image: DriveImage, name: str, datatype: DataType) -> Callable[[int], float | int]:
+    """Return what makes of a word the number that the metric of a value shows, where the value is good."""
+    if name in image.derived:
+        return lambda word: float(image.number(name, word))
+    scaling = image.points[name].register.scaling
+    if datatype is DataType.DOUBLE:
+        return scaling.nearest
+    units = int(scaling.scale)
+    return lambda word: scaling.raw(word) * units
 
 
 def standing_of(image: DriveImage, control: DriveControl | None) -> dict[str, Value]:

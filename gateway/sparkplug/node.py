@@ -18,7 +18,7 @@ from gateway.sparkplug.definition import Definer, Definition
 from gateway.sparkplug.device import Device, Moment
 from gateway.sparkplug.drive_metrics import EVENT, RESULT
 from gateway.sparkplug.history import Missed
-from gateway.sparkplug.payload import DataType, Metric, Payload, Value, encode
+from gateway.sparkplug.payload import DataType, Metric, Payload, Value, Written, encode, message
 from gateway.sparkplug.session import Happening, Phase, Session
 from gateway.sparkplug.topics import Topics
 
@@ -79,6 +79,8 @@ class Node:
             metrics = drive_metrics.define(definer, each, is_controlled=control is not None, may_command=may_command)
             self.devices[each.drive.name] = Device(each, metrics, section.deadband, control)
         self._debtors: dict[str, Device] = {}
+        self._connected = 0  # drives
+        self._count()
 
     def _define_line(self, definer: Definer, line: str) -> None:
         definition = definer.define(f"Lines/{line}/Command", DataType.STRING, is_writable=True)
@@ -100,6 +102,7 @@ class Node:
 
     def take(self, happening: Happening) -> None:
         """Take what happens to the session."""
+        self._count()
         self.session.take(happening)
 
     def rebirth(self) -> None:
@@ -108,6 +111,8 @@ class Node:
 
     def note_change(self, image: DriveImage, names: Sequence[str], now: float) -> None:
         """Take what is news of a drive."""
+        if not names:
+            self._count()
         device = self.devices[image.drive.name]
         device.take(names, now)
         self._debtors[device.name] = device
@@ -130,6 +135,7 @@ class Node:
 
     def look(self) -> None:
         """Look at every drive, since who may command it changes without a word."""
+        self._count()
         self._debtors |= {name: device for name, device in self.devices.items() if device.is_owing}
 
     # ---- what is said
@@ -243,17 +249,20 @@ class Node:
             device.death()
             device.is_barred = True
 
-    def _send(self, wire: Wire, topic: str, metrics: Sequence[Metric], moment: Moment) -> bool:
+    def _send(self, wire: Wire, topic: str, metrics: Sequence[Metric | Written], moment: Moment) -> bool:
         """Send a message with the next number, which counts only where the broker takes the message."""
-        payload = encode(Payload(moment.ms, tuple(metrics), self.session.seq))
-        if not wire.carry(topic, payload):
+        if not wire.carry(topic, message(moment.ms, metrics, self.session.seq)):
             return False
         self.session.sent()
         return True
 
     def _node_values(self) -> dict[str, Value]:
-        return {CONNECTED: sum(image.link.is_connected for image in self._images)}
+        return {CONNECTED: self._connected}
 
     @property
     def _is_node_news(self) -> bool:
-        return self._told != self._node_values()
+        return self._told.get(CONNECTED) != self._connected
+
+    def _count(self) -> None:
+        """Count the drives that are connected; after each change of a link, since answers are many."""
+        self._connected = sum(image.link.is_connected for image in self._images)

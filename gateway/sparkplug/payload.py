@@ -7,10 +7,11 @@ others are passed over as bytes.
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
+from typing import NamedTuple
 
 from gateway.sparkplug import protobuf
 from gateway.sparkplug.protobuf import FIXED32, FIXED64, LENGTH, VARINT, BadPayload
@@ -86,6 +87,13 @@ class Metric:
     properties: tuple[Property, ...] = ()
 
 
+class Written(NamedTuple):
+    """A metric in bytes already, and its timestamp."""
+
+    timestamp: int
+    raw: bytes
+
+
 @dataclass(frozen=True, slots=True)
 class Payload:
     """One message. `timestamp` is that of sending; a death of the edge node and commands have no `seq`."""
@@ -100,10 +108,17 @@ class Payload:
 
 def encode(payload: Payload) -> bytes:
     """Return the bytes of a payload."""
-    written = [protobuf.whole(1, payload.timestamp)] if payload.timestamp is not None else []
-    written += [protobuf.block(2, encode_metric(metric)) for metric in payload.metrics]
-    if payload.seq is not None:
-        written.append(protobuf.whole(3, payload.seq))
+    return message(payload.timestamp, payload.metrics, payload.seq)
+
+
+def message(timestamp: int | None, metrics: Iterable[Metric | Written], seq: int | None) -> bytes:
+    """Return the bytes of a payload of which some metrics are bytes already."""
+    written = [protobuf.whole(1, timestamp)] if timestamp is not None else []
+    for metric in metrics:
+        raw = metric.raw if isinstance(metric, Written) else encode_metric(metric)
+        written.append(protobuf.block(2, raw))
+    if seq is not None:
+        written.append(protobuf.whole(3, seq))
     return b"".join(written)
 
 
@@ -125,8 +140,13 @@ def encode_metric(metric: Metric) -> bytes:
     if metric.properties:
         written.append(protobuf.block(9, _properties(metric.properties)))
     if metric.value is not None:
-        written.append(_value(METRIC_VALUE, metric.datatype, metric.value))
+        written.append(value_field(metric.datatype, metric.value))
     return b"".join(written)
+
+
+def value_field(datatype: int | None, value: bool | int | float | str | bytes) -> bytes:
+    """Return the value of a metric."""
+    return _value(METRIC_VALUE, datatype, value)
 
 
 @lru_cache(KEPT_PROPERTIES)

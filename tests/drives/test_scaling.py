@@ -45,6 +45,12 @@ def test_the_text_that_is_written_is_the_value(scale: Decimal, signed: bool) -> 
         assert scaling.format(word) == f"{scaling.decode(word):.{scaling.digits}f}"
 
 
+@given(scalings, words)
+def test_the_nearest_float_is_the_one_of_the_exact_value(scaling: Scaling, word: int) -> None:
+    """Rounded once and not twice."""
+    assert scaling.nearest(word) == float(scaling.decode(word))
+
+
 numbers = st.decimals() | st.decimals(-400, 700, places=3) | st.integers(-40_000, 70_000).map(Decimal)
 
 

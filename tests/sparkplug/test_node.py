@@ -315,6 +315,16 @@ def test_the_node_tells_how_many_drives_it_has() -> None:
     assert [(metric.name, metric.value) for metric in data.payload.metrics] == [("", 1)]
 
 
+def test_drives_that_came_while_there_was_no_connection_are_counted() -> None:
+    """Nobody is told of links then."""
+    plant = Plant()
+    plant.image.drives[0].set_link(LinkState.OFFLINE)
+    plant.pump.link = LinkState.ONLINE
+    plant.connect()
+    (birth, *_) = plant.settle()
+    assert {metric.name: metric.value for metric in birth.payload.metrics}["Drives Connected"] == 1
+
+
 def test_numbers_go_on_after_255() -> None:
     """With 0, whatever kind the message is of."""
     plant = Plant()

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.sparkplug import payload, protobuf
+from gateway.sparkplug.definition import Definition, Teller
 from gateway.sparkplug.payload import DataType, Metric, Payload, Property, decode, encode
 from gateway.sparkplug.protobuf import BadPayload
 from tests import soak
@@ -45,6 +46,19 @@ def metrics(draw: st.DrawFn) -> Metric:
         value=draw(st.none() | OF_TYPES[datatype]),
         is_historical=draw(st.booleans()),
     )
+
+
+TOLD = (DataType.UINT16, DataType.INT32, DataType.DOUBLE, DataType.STRING)  # the types of what drives tell
+
+
+@given(st.sampled_from(TOLD).flatmap(lambda of: st.tuples(st.just(of), OF_TYPES[of])), st.integers(1, 10**6), LONG)
+def test_what_is_written_at_once_is_the_metric_that_is_told(typed: tuple[DataType, Any], alias: int, ms: int) -> None:
+    """To the byte, of every type that a value of a drive may have."""
+    datatype, value = typed
+    definition = Definition("torque", alias, datatype)
+    written = Teller(definition).told(value, ms)
+    assert written.timestamp == ms
+    assert written.raw == payload.encode_metric(definition.told(value, ms))
 
 
 def single(value: object) -> object:
