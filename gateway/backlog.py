@@ -17,7 +17,7 @@ class Kind(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class HistoricalReading:
     """What one answer of a drive brought, or what happened to it.
 
     `ms` is when that was, in milliseconds of UTC since 1970; `body` is JSON text.
@@ -34,7 +34,7 @@ class Kept:
     """A reading in the store; `number` says which, is never given to another, and grows."""
 
     number: int
-    reading: Reading
+    reading: HistoricalReading
 
 
 class Loss(Enum):
@@ -71,7 +71,7 @@ class Backlog(Protocol):
         """Return what tells the numbers of this store from those of any other; "" until that is known."""
         ...
 
-    def put(self, reading: Reading) -> None:
+    def put(self, reading: HistoricalReading) -> None:
         """Keep a reading."""
         ...
 

@@ -16,7 +16,7 @@ from typing import Any, Self
 from gateway.sim.process import SimulatedLine
 from gateway.sim.settings import SimulatedLineConfig
 from tests.mosquitto import Mosquitto, free_port
-from tests.test_end_to_end import LIMIT, gateway, until
+from tests.processes import LIMIT, gateway, until
 
 LEASE = 1.0  # seconds
 F803 = 3.0  # seconds

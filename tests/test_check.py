@@ -14,7 +14,7 @@ from gateway import check, site
 from gateway.bus.plan import plan_drive
 from gateway.errors import BadConfig
 from tests.mosquitto import free_port
-from tests.test_end_to_end import LIMIT, gateway, until
+from tests.processes import LIMIT, gateway, until
 
 FIVE = ["status", "output_frequency", "output_current", "output_voltage", "alarm"]
 

@@ -16,6 +16,23 @@ from gateway.config import Config
 
 ROOT = Path(__file__).parent.parent
 EXAMPLES = sorted((ROOT / "config").glob("*.toml"))
+TOLD = (  # of what is configured by a section, what `check` prints
+    ("mqtt", "MQTT topics"),
+    ("mqtt", "/availability"),
+    ("sparkplug", "Sparkplug topics"),
+    ("modbus_tcp", "MODBUS-TCP on"),
+)
+ALONE = """
+[gateway]
+name = "hall-3"
+[[line]]
+name = "a"
+port = "/dev/ttyUSB0"
+[[line.drive]]
+name = "pump-1"
+number = 1
+model = "vf-nc3"
+"""
 
 
 def command(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -27,11 +44,30 @@ def command(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.name)
 def test_check_prints_plan_topics_and_map_of_every_example(path: Path) -> None:
-    """And says that nothing is wrong."""
+    """Topics and map of those that have them, and that nothing is wrong."""
+    sections = tomllib.loads(path.read_text(encoding="utf-8"))
     done = command("check", str(path))
     assert done.returncode == 0, done.stderr
-    for part in ("load with F875-F879", "MQTT topics", "/availability", "MODBUS-TCP on", "no errors"):
+    for part in ("load with F875-F879", "no errors"):
         assert part in done.stdout
+    for section, part in TOLD:
+        assert (part in done.stdout) == (section in sections), part
+
+
+def test_each_way_out_is_shown_by_an_example() -> None:
+    """So that what `check` prints of it is seen above."""
+    shown = {section for path in EXAMPLES for section in tomllib.loads(path.read_text(encoding="utf-8"))}
+    assert shown >= {section for section, _ in TOLD}
+
+
+def test_check_says_nothing_of_what_is_not_configured(tmp_path: Path) -> None:
+    """A drive alone has a plan, and neither topics nor a map."""
+    path = tmp_path / "gateway.toml"
+    path.write_text(ALONE, encoding="utf-8")
+    done = command("check", str(path))
+    assert done.returncode == 0, done.stderr
+    assert "load with F875-F879" in done.stdout
+    assert not any(part in done.stdout for _, part in TOLD)
 
 
 def test_the_schema_in_config_is_the_one_that_the_command_prints() -> None:

@@ -27,7 +27,7 @@ from gateway.sim.process import SimulatedLine
 from gateway.sim.settings import SimulatedLineConfig, from_options
 from tests.controlled import DRIVE
 from tests.mosquitto import Mosquitto, free_port, program
-from tests.test_end_to_end import gateway, until
+from tests.processes import gateway, until
 
 PAGE = (Path(__file__).parents[1] / "docs" / "control.md").read_text(encoding="utf-8")
 SHOWN = {"port": "/tmp/line", "mqtt": "1883", "tcp": "5020", "time": '"2026-03-01T12:00:00.000Z"'}  # noqa: S108

@@ -9,10 +9,9 @@ import re
 import signal
 import subprocess
 import sys
-import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,26 +22,16 @@ from pymodbus.client import ModbusTcpClient
 from gateway.sim.process import SimulatedLine
 from gateway.sim.settings import SimulatedLineConfig
 from tests.mosquitto import Mosquitto, free_port
+from tests.processes import LIMIT, gateway, until
 
 pytestmark = pytest.mark.e2e
 
-LIMIT = 30.0  # seconds after which a wait is given up
 FIVE = [1, 2, 3, 4, 5]
 DRIVES = [
     {"number": 1, "model": "vf-nc3", "block_read": FIVE, "running_at": 50.0},
     {"number": 2, "model": "vf-nc3", "running_at": 20.0},
     {"number": 3, "model": "vf-mb1", "block_read": FIVE, "running_at": 40.0},
 ]
-
-
-def until(condition: Callable[[], Any], what: str) -> Any:
-    """Wait for a condition to hold, and return what it gives."""
-    end = time.monotonic() + LIMIT
-    while time.monotonic() < end:
-        if found := condition():
-            return found
-        time.sleep(0.05)
-    raise AssertionError(f"waited {LIMIT} s in vain for {what}")
 
 
 @dataclass
@@ -133,21 +122,6 @@ poll = [{{ values = ["status", "output_frequency", "output_current", "output_vol
 """
     path.write_text(text)
     return path
-
-
-@contextlib.contextmanager
-def gateway(config: Path, log: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
-    """Run the gateway as a process of its own, and end it by its pid."""
-    with log.open("w") as output:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "gateway", "run", str(config), *options], stdout=output, stderr=output, text=True
-        )
-        try:
-            yield process
-        finally:
-            if process.poll() is None:
-                process.terminate()
-            process.wait(LIMIT)
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from gateway.sim.condition import TripCode
 from gateway.sim.process import SimulatedLine
 from tests.controlled import BEAT, COMMAND_TIMEOUT, CONTROL, F803, LEASE, POLL, Heartbeat, Stage, plant, staged
 from tests.mosquitto import Mosquitto
-from tests.test_end_to_end import LIMIT, until
+from tests.processes import LIMIT, until
 
 pytestmark = pytest.mark.e2e
 

@@ -18,7 +18,7 @@ from gateway.sim.settings import SimulatedLineConfig, from_options
 from gateway.trace.capture import Capture
 from gateway.trace.record import Verdict
 from tests.mosquitto import program
-from tests.test_end_to_end import gateway, until
+from tests.processes import gateway, until
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "trace.md").read_text(encoding="utf-8")

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Generic, Protocol, TypeVar
 
-from gateway.backlog import Backlog, Kept, Kind, Loss, Reading
+from gateway.backlog import Backlog, HistoricalReading, Kept, Kind, Loss
 from gateway.clock import Clock
 from gateway.image import DriveImage, Image
 from gateway.mqtt.filters import Policy
@@ -55,7 +55,7 @@ class Missed(Generic[P]):
         self._backlog = backlog
         self._clock = clock
         self._samplers = {each.drive.name: Sampler(each, policies(each)) for each in image.drives}
-        self._unconfirmed: Unconfirmed[Taken | Reading] = Unconfirmed()
+        self._unconfirmed: Unconfirmed[Taken | HistoricalReading] = Unconfirmed()
         self._forwarder = forwarder
         self._wake: Callable[[], None] | None = None  # None while the broker is away
 
@@ -71,7 +71,7 @@ class Missed(Generic[P]):
         self._wake = None
         self._keep(self._unconfirmed.give_up())
 
-    def _keep(self, found: Iterable[Taken | Reading]) -> None:
+    def _keep(self, found: Iterable[Taken | HistoricalReading]) -> None:
         for each in found:
             self._backlog.put(each.written() if isinstance(each, Taken) else each)
 
@@ -85,9 +85,11 @@ class Missed(Generic[P]):
 
     def note_event(self, drive: str, text: str, mark: int | None, is_there: Callable[[], bool] | None = None) -> None:
         """Take what happened to a drive, as JSON."""
-        self._note(Reading(drive, Kind.EVENT, round(self._clock.wall() * 1000), text), mark, is_there)
+        self._note(HistoricalReading(drive, Kind.EVENT, round(self._clock.wall() * 1000), text), mark, is_there)
 
-    def _note(self, what: Taken | Reading, mark: int | None, is_there: Callable[[], bool] | None = None) -> None:
+    def _note(
+        self, what: Taken | HistoricalReading, mark: int | None, is_there: Callable[[], bool] | None = None
+    ) -> None:
         if self._wake is None:
             self._keep([what])
         else:

@@ -9,7 +9,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from gateway.backlog import Kind, Reading
+from gateway.backlog import HistoricalReading, Kind
 from gateway.image import DriveImage, Quality
 from gateway.mqtt import payload
 from gateway.mqtt.filters import Policy
@@ -26,7 +26,7 @@ class Taken(NamedTuple):
     ms: int
     words: Sequence[tuple[str, int, Quality]]
 
-    def written(self) -> Reading:
+    def written(self) -> HistoricalReading:
         """Return it as it is kept: numbers as text in `v`, null where not good, qualities in `q`, words in `t`."""
         image, values, texts, qualities = self.image, {}, {}, {}
         for name, word, quality in self.words:
@@ -43,7 +43,7 @@ class Taken(NamedTuple):
         if texts:
             body["t"] = texts
         text = json.dumps(body, ensure_ascii=False, separators=(",", ":"))
-        return Reading(image.drive.name, Kind.VALUES, self.ms, text)
+        return HistoricalReading(image.drive.name, Kind.VALUES, self.ms, text)
 
 
 class Sampler:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from gateway.backlog import Kept, Kind, Reading
+from gateway.backlog import HistoricalReading, Kept, Kind
 from gateway.image import Quality
 from gateway.mqtt.forwarding import Parcel
 from gateway.sparkplug.device import MOST_VALUES, Device
@@ -43,7 +43,7 @@ def unpack(devices: Mapping[str, Device], kept: Kept) -> list[Parcel[Missed]]:
     ]
 
 
-def _metrics(device: Device, reading: Reading) -> Iterator[Metric]:
+def _metrics(device: Device, reading: HistoricalReading) -> Iterator[Metric]:
     known, ms = device.metrics, reading.ms
     if reading.kind is Kind.EVENT:
         if EVENT in known.told:

@@ -13,7 +13,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from gateway.backlog import BacklogStats, Kept, Loss, Reading
+from gateway.backlog import BacklogStats, HistoricalReading, Kept, Loss
 from gateway.config import BrokerSection, MqttSection
 from gateway.site import Site
 from gateway.store.backlog_inbox import Question
@@ -90,7 +90,7 @@ class FiledBacklog:
 
     # ---- what the adapters ask
 
-    def put(self, reading: Reading) -> None:
+    def put(self, reading: HistoricalReading) -> None:
         """Keep a reading; where too many wait for the disk the oldest give way."""
         if dropped := self._thread.inbox.put(reading):
             self.dropped(Loss.DISK, dropped)

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gateway.backlog import Kept, Reading
+from gateway.backlog import HistoricalReading, Kept
 from gateway.store import backlog_schema as schema
 from gateway.store.backlog_schema import Limits
 from gateway.store.errors import StoreAway, StoreDamaged, translated
@@ -73,14 +73,14 @@ class BacklogFile:
             raise StoreDamaged(f"{self.path} is damaged: it does not say which it is")
         (self.origin,) = found
 
-    def append(self, readings: Sequence[Reading]) -> Appended:
+    def append(self, readings: Sequence[HistoricalReading]) -> Appended:
         """Write readings, whole and for good when this returns; the oldest give way where they do not fit."""
         fitting = schema.fitting(readings, self._limits)
         with translated(self.path):
             dropped = self._written(fitting)
         return Appended(len(fitting), dropped + len(readings) - len(fitting))
 
-    def _written(self, readings: Sequence[Reading]) -> int:
+    def _written(self, readings: Sequence[HistoricalReading]) -> int:
         rows = self.rows
         with transaction(self._connection) as connection:
             dropped = 0

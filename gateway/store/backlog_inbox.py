@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from gateway.backlog import Kept, Reading
+from gateway.backlog import HistoricalReading, Kept
 from gateway.store.backlog_schema import size_of
 
 WAITING = 8 * 1024 * 1024  # bytes that may wait for the disk
@@ -30,13 +30,13 @@ class BacklogInbox:
 
     def __init__(self) -> None:
         self._news = threading.Condition()
-        self._readings: deque[tuple[Reading, int]] = deque()
+        self._readings: deque[tuple[HistoricalReading, int]] = deque()
         self._size = 0
         self._gone: list[int] = []
         self._question: Question | None = None
         self._is_ending = False
 
-    def put(self, reading: Reading) -> int:
+    def put(self, reading: HistoricalReading) -> int:
         """Put a reading; return how many of the oldest had to give way."""
         size, dropped = size_of(reading), 0
         with self._news:
@@ -84,12 +84,12 @@ class BacklogInbox:
     def _is_urgent(self) -> bool:
         return self._is_ending or self._question is not None
 
-    def first(self) -> list[Reading]:
+    def first(self) -> list[HistoricalReading]:
         """Return the readings that have waited longest, to be written together; they are kept until `written`."""
         with self._news:
             return [self._readings[place][0] for place in range(min(TOGETHER, len(self._readings)))]
 
-    def written(self, readings: Sequence[Reading]) -> None:
+    def written(self, readings: Sequence[HistoricalReading]) -> None:
         """Let go of readings that are in the file; some may have given way meanwhile."""
         with self._news:
             for reading in readings:

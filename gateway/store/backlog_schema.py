@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import ceil
 from zlib import crc32
 
-from gateway.backlog import Kept, Kind, Reading
+from gateway.backlog import HistoricalReading, Kept, Kind
 
 VERSION = 1
 APPLICATION = 0x54564753  # "TVGS": stands in the header of every file of samples
@@ -49,7 +49,7 @@ class Limits:
         return max(2 * SPARE, self.max_bytes // PAGE)
 
 
-def row_of(reading: Reading) -> Row:
+def row_of(reading: HistoricalReading) -> Row:
     """Return the row of a reading, for APPEND."""
     drive, kind, ms, body = reading.drive, reading.kind.value, reading.ms, reading.body
     return drive, kind, ms, body, _crc(drive, kind, ms, body)
@@ -62,7 +62,7 @@ def kept_of(row: Row) -> Kept | None:
         return None
     if crc != _crc(drive, kind, ms, body) or kind not in KINDS:
         return None
-    return Kept(number, Reading(drive, Kind(kind), ms, body))
+    return Kept(number, HistoricalReading(drive, Kind(kind), ms, body))
 
 
 KINDS = frozenset(kind.value for kind in Kind)
@@ -72,12 +72,12 @@ def _crc(drive: str, kind: object, ms: int, body: str) -> int:
     return crc32(f"{drive}\0{kind}\0{ms}\0{body}".encode(errors="surrogatepass"))
 
 
-def size_of(reading: Reading) -> int:
+def size_of(reading: HistoricalReading) -> int:
     """Return about how many bytes of the file a reading takes."""
     return ROW_COST + len(reading.drive) + len(reading.body.encode(errors="surrogatepass"))
 
 
-def to_drop(readings: Sequence[Reading], rows: int, used: int, limits: Limits) -> int:
+def to_drop(readings: Sequence[HistoricalReading], rows: int, used: int, limits: Limits) -> int:
     """Return how many of the oldest rows have to go before these are written; `used` is in pages."""
     lacking = used + pages_of(readings) + SPARE - limits.pages
     if lacking <= 0 or not rows:
@@ -85,12 +85,12 @@ def to_drop(readings: Sequence[Reading], rows: int, used: int, limits: Limits) -
     return min(rows, ceil(rows * lacking / max(1, used)))
 
 
-def pages_of(readings: Iterable[Reading]) -> int:
+def pages_of(readings: Iterable[HistoricalReading]) -> int:
     """Return how many pages readings take at the most, as reckoned."""
     return ceil(sum(map(size_of, readings)) / (PAGE * FILLING))
 
 
-def fitting(readings: Sequence[Reading], limits: Limits) -> Sequence[Reading]:
+def fitting(readings: Sequence[HistoricalReading], limits: Limits) -> Sequence[HistoricalReading]:
     """Return the newest of them that the file could hold if there were nothing else in it."""
     room = (limits.pages - SPARE) * PAGE * FILLING
     for place in range(len(readings) - 1, -1, -1):

@@ -12,7 +12,7 @@ from bench.line_journal import Exchange, Wait
 from bench.whole_gateway import simulated
 from gateway.protocol.checksum import crc16
 from gateway.sim.process import SimulatedLine
-from tests.test_end_to_end import until
+from tests.processes import until
 
 GAP = 0.002
 POLL, COMMAND = bytes.fromhex("01 03 18 75"), bytes.fromhex("01 06 FA 01 0B B8")

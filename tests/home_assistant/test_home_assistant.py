@@ -16,7 +16,7 @@ from gateway.sim.process import SimulatedLine
 from tests.controlled import Stage, plant, telling, written
 from tests.home_assistant.house import IS_THERE, WHY_NOT, HomeAssistant
 from tests.mosquitto import Mosquitto
-from tests.test_end_to_end import gateway, until
+from tests.processes import gateway, until
 
 pytestmark = [pytest.mark.e2e, pytest.mark.skipif(not IS_THERE, reason=WHY_NOT)]
 

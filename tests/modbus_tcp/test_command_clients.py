@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import signal
 import socket
 import struct
 import subprocess
-import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,10 +20,10 @@ from gateway.sim.settings import SimulatedLineConfig
 from tests.modbus_tcp.plant import CODES, mirror
 from tests.modbus_tcp.rig import answers, request
 from tests.mosquitto import free_port
+from tests.processes import LIMIT, gateway, until
 
 pytestmark = pytest.mark.e2e
 
-LIMIT = 30.0  # seconds after which a wait is given up
 COMMAND, FREQUENCY = 0xFA00, 0xFA01
 RUN, STOP = 0xC400, 0x8000
 CONFIG = """
@@ -51,14 +48,6 @@ timeout_action = "stop"
 frequency = {{ min = 0.0, max = 60.0 }}
 poll = [{{ values = ["status", "output_frequency"], every = "100ms" }}]
 """
-
-
-def until(condition: Callable[[], object], what: str) -> None:
-    """Wait for a condition to hold."""
-    end = time.monotonic() + LIMIT
-    while not condition():
-        assert time.monotonic() < end, f"waited {LIMIT} s in vain for {what}"
-        time.sleep(0.02)
 
 
 @dataclass
@@ -106,23 +95,15 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plant]:
     link = folder / "line"
     drives = [{"number": number, "model": "vf-nc3", "block_read": [1, 2, 3, 4, 5]} for number in (1, 2)]
     config = SimulatedLineConfig.model_validate({"drive": drives, "link": str(link)})
-    with SimulatedLine(config) as line, (folder / "log").open("w") as log:
-        tcp = free_port()
-        file = folder / "gateway.toml"
-        file.write_text(CONFIG.format(tcp=tcp, port=link) + DRIVE.format(number=1) + DRIVE.format(number=2))
-        process = subprocess.Popen(
-            [sys.executable, "-m", "gateway", "run", str(file)], stdout=log, stderr=log, text=True
-        )
+    tcp, file, log = free_port(), folder / "gateway.toml", folder / "log"
+    file.write_text(CONFIG.format(tcp=tcp, port=link) + DRIVE.format(number=1) + DRIVE.format(number=2))
+    with SimulatedLine(config) as line, gateway(file, log) as process:
         made = Plant(line, tcp, process)
-        try:
-            until(made.is_ready, "drives that answer")
-            yield made
-            assert process.poll() is None, (folder / "log").read_text()
-            assert "Traceback" not in (folder / "log").read_text()
-            assert line.stats()["gap_violations"] == 0
-        finally:
-            process.send_signal(signal.SIGTERM)
-            process.wait(LIMIT)
+        until(made.is_ready, "drives that answer")
+        yield made
+        assert process.poll() is None, log.read_text()
+        assert "Traceback" not in log.read_text()
+        assert line.stats()["gap_violations"] == 0
 
 
 @pytest.fixture(autouse=True)

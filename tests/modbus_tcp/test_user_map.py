@@ -27,7 +27,7 @@ from gateway.modbus_tcp.map_rows import Row
 from gateway.modbus_tcp.mapping import as_csv, as_markdown, register_map
 from gateway.modbus_tcp.mirror_map import MIRROR_AT
 from gateway.modbus_tcp.server import ModbusTcpServer
-from gateway.site_mapping import FREE_AT_GATEWAY, GATEWAY_UNIT
+from gateway.site.mapping import FREE_AT_GATEWAY, GATEWAY_UNIT
 from tests.modbus_tcp.plant import code_of, exchange
 from tests.modbus_tcp.rig import ALL, NOW, StandingClock, answer, answers, drive, request
 

@@ -8,7 +8,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from gateway.backlog import Kept, Kind, Reading
+from gateway.backlog import HistoricalReading, Kept, Kind
 from gateway.mqtt.forwarding import ASK_AGAIN, BURST, FETCHED, WINDOW, Forwarder, Parcel
 from tests.soak import FACTOR
 
@@ -19,7 +19,7 @@ EVERY = frozenset[str]()
 
 def kept(number: int, drive: str = "pump", parts: int = 1) -> Kept:
     """Return a reading of so many messages, none of which is one that cannot be understood."""
-    return Kept(number, Reading(drive, Kind.VALUES, number, str(parts)))
+    return Kept(number, HistoricalReading(drive, Kind.VALUES, number, str(parts)))
 
 
 def unpack(each: Kept) -> list[Parcel[tuple[int, int]]]:

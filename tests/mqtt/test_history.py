@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.backlog import BacklogStats, Kept, Kind, Reading
+from gateway.backlog import BacklogStats, HistoricalReading, Kept, Kind
 from gateway.control.command import Channel, Command, Result, Source, Status, Verb
 from gateway.image import DriveImage, Image, LinkState
 from gateway.metrics import MqttStats
@@ -94,7 +94,7 @@ def test_what_is_not_worth_publishing_is_not_worth_keeping() -> None:
 def test_a_reading_becomes_a_message_for_each_value_and_one_of_all() -> None:
     """As `publish` says; the last of them finishes it."""
     body = '{"v":{"output_frequency":"50.00","status":null},"q":{"status":"stale"}}'
-    kept = Kept(17, Reading("pump-1", Kind.VALUES, 1_772_366_400_250, body))
+    kept = Kept(17, HistoricalReading("pump-1", Kind.VALUES, 1_772_366_400_250, body))
     mark = '"time":"2026-03-01T12:00:00.250Z","historical":true,"id":"cafe0001-17"'
     of_values = [
         (f"{ROOT}/output_frequency", f'{{"value":50.00,"quality":"good",{mark}}}'),
@@ -114,7 +114,7 @@ def test_a_reading_becomes_a_message_for_each_value_and_one_of_all() -> None:
 def test_words_go_with_their_value() -> None:
     """And a value whose name is taken stands where it always does."""
     body = '{"v":{"status":"1","state":"2"},"t":{"status":"läuft"}}'
-    kept = Kept(1, Reading("pump-1", Kind.VALUES, 0, body))
+    kept = Kept(1, HistoricalReading("pump-1", Kind.VALUES, 0, body))
     told = {
         parcel.what[0]: json.loads(parcel.what[1]) for parcel in Historian(section(), "hall-3", Store()).unpack(kept)
     }
@@ -125,7 +125,8 @@ def test_words_go_with_their_value() -> None:
 
 def test_an_event_is_told_as_it_was() -> None:
     """With what marks it as history."""
-    kept = Kept(3, Reading("pump-1", Kind.EVENT, 0, '{"event":"trip","reason":"OC1","code":1,"time":"then"}'))
+    body = '{"event":"trip","reason":"OC1","code":1,"time":"then"}'
+    kept = Kept(3, HistoricalReading("pump-1", Kind.EVENT, 0, body))
     (parcel,) = Historian(section(), "hall-3", Store()).unpack(kept)
     assert parcel.what[0] == f"{ROOT}/event"
     told = json.loads(parcel.what[1])
@@ -136,7 +137,7 @@ def test_an_event_is_told_as_it_was() -> None:
 @pytest.mark.parametrize("kind", [Kind.VALUES, Kind.EVENT])
 def test_what_cannot_be_understood_is_no_message(body: str, kind: Kind) -> None:
     """It is let go, and nothing else happens."""
-    parcels = Historian(section(), "hall-3", Store()).unpack(Kept(1, Reading("pump-1", kind, 0, body)))
+    parcels = Historian(section(), "hall-3", Store()).unpack(Kept(1, HistoricalReading("pump-1", kind, 0, body)))
     assert parcels == [] or kind is Kind.EVENT
 
 
@@ -255,9 +256,9 @@ class Stored:
 
     def __init__(self) -> None:
         self.stats = BacklogStats()
-        self.readings: list[Reading] = []
+        self.readings: list[HistoricalReading] = []
 
-    def put(self, reading: Reading) -> None:
+    def put(self, reading: HistoricalReading) -> None:
         """Keep a reading."""
         self.readings.append(reading)
 
@@ -316,7 +317,7 @@ def test_history_waits_while_much_that_is_live_does() -> None:
     forwarder.begin()
     question = forwarder.question(0.0)
     assert question is not None
-    forwarder.take([Kept(1, Reading("pump-1", Kind.VALUES, 0, "{}"))], question[-1], 0.0)
+    forwarder.take([Kept(1, HistoricalReading("pump-1", Kind.VALUES, 0, "{}"))], question[-1], 0.0)
     image = drives.image()
     missed = Missed(stored, image, lambda each: policies(section(), each), forwarder, SkippingClock())
     assert forwarder.is_due(0.0)

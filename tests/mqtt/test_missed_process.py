@@ -19,8 +19,8 @@ from gateway.sim.process import SimulatedLine
 from gateway.sim.settings import SimulatedLineConfig
 from tests.mosquitto import Mosquitto, Subscriber, free_port
 from tests.mqtt.rig import Cable
+from tests.processes import LIMIT
 from tests.soak import FACTOR
-from tests.test_end_to_end import LIMIT
 
 pytestmark = pytest.mark.e2e
 

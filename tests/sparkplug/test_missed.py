@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from gateway.backlog import BacklogStats, Kept, Kind, Reading
+from gateway.backlog import BacklogStats, HistoricalReading, Kept, Kind
 from gateway.image import LinkState, Quality
 from gateway.metrics import MqttStats
 from gateway.sparkplug.definition import CODES, OF_QUALITY
@@ -134,7 +134,7 @@ def told(kind: Kind, body: str, drive: str = "pump-1") -> list[list[tuple[object
     known = devices()
     names = {definition.alias: name for name, definition in known["pump-1"].metrics.values.items()}
     names |= {definition.alias: f"{name}_text" for name, definition in known["pump-1"].metrics.texts.items()}
-    parcels = unpack(known, Kept(17, Reading(drive, kind, 1234, body)))
+    parcels = unpack(known, Kept(17, HistoricalReading(drive, kind, 1234, body)))
     assert [parcel.number for parcel in parcels] == [0] * (len(parcels) - 1) + [17] * bool(parcels)
     assert all(parcel.values == len(parcel.what.metrics) for parcel in parcels)
     metrics = [metric for parcel in parcels for metric in parcel.what.metrics]

@@ -16,8 +16,8 @@ import pytest
 from gateway.sparkplug.payload import DataType, Metric, Payload, Value, decode, encode
 from tests.controlled import CONTROL, F803, LEASE, Stage, plant, staged
 from tests.mosquitto import Mosquitto, program
+from tests.processes import LIMIT, until
 from tests.sparkplug.rig import Sent, parted
-from tests.test_end_to_end import LIMIT, until
 
 pytestmark = pytest.mark.e2e
 

@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 
-from gateway.backlog import Kept, Kind, Reading
+from gateway.backlog import HistoricalReading, Kept, Kind
 from gateway.store.backlog import FiledBacklog
 from gateway.store.backlog_schema import PAGE, Limits
 from gateway.store.backlog_thread import BacklogPace
@@ -20,10 +20,10 @@ LIMITS = Limits(1024 * PAGE, 3600.0)
 NOBODY_WITHOUT: frozenset[str] = frozenset()
 
 
-def reading(number: int, drive: str = "pump", ms: int | None = None, body: str | None = None) -> Reading:
+def reading(number: int, drive: str = "pump", ms: int | None = None, body: str | None = None) -> HistoricalReading:
     """Return a reading that can be told from others by its body; read now, unless it says otherwise."""
     at = int(time.time() * 1000) if ms is None else ms
-    return Reading(drive, Kind.VALUES, at, body or f'{{"v":{{"output_frequency":"{number}"}}}}')
+    return HistoricalReading(drive, Kind.VALUES, at, body or f'{{"v":{{"output_frequency":"{number}"}}}}')
 
 
 @asynccontextmanager

@@ -9,7 +9,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from gateway.backlog import Reading
+from gateway.backlog import HistoricalReading
 from gateway.store.backlog_file import BacklogFile
 from gateway.store.backlog_schema import PAGE, SPARE, Limits, size_of
 from tests.soak import FACTOR
@@ -27,7 +27,7 @@ class Machine(RuleBasedStateMachine):
         self.folder = tempfile.TemporaryDirectory(prefix="backlog-")
         self.path = Path(self.folder.name) / "backlog.sqlite"
         self.file = BacklogFile.open(self.path, SMALL)
-        self.model: dict[int, Reading] = {}
+        self.model: dict[int, HistoricalReading] = {}
         self.made = self.copies = 0
         self.last_number = 0
 

@@ -20,7 +20,7 @@ import pytest
 from gateway.sim.process import SimulatedLine
 from gateway.sim.settings import SimulatedLineConfig
 from tests.mosquitto import program
-from tests.test_end_to_end import gateway, until
+from tests.processes import gateway, until
 
 pytestmark = pytest.mark.e2e
 

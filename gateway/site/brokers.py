@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
 from typing import Any
 
-from gateway.broker_tables import brokers
 from gateway.config import DriveSection
+from gateway.config.broker_tables import brokers
 
 Used = Iterator[tuple[str, DriveSection]]  # key and section of each drive that is right in itself
 

@@ -9,8 +9,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from gateway.broker_tables import brokers
 from gateway.config import DriveSection, FilterSection, HomeAssistantSection
+from gateway.config.broker_tables import brokers
 from gateway.drives.model import Model
 
 FASTEST_BEAT = 1.0  # seconds: an automation of Home Assistant is started by the clock once a second at the most

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from tests.test_config import build, errors, table
+from tests.config.test_config import build, errors, table
 
 ENTRY: dict[str, Any] = {"point": "pump-1.output_frequency", "address": 0}
 AMPS = "pump-1.output_current_amps"
