@@ -18,7 +18,7 @@ from gateway.config import BrokerSection, MqttSection, SparkplugSection
 from gateway.control.command import Result
 from gateway.control.door import Door, LineBell
 from gateway.control.ledger import Ledger
-from gateway.errors import GatewayError
+from gateway.errors import CoreTaskEnded, GatewayError
 from gateway.image import Image, LinkState
 from gateway.metrics import DriveStats, LineStats, MqttStats, Stats
 from gateway.modbus_tcp.server import ModbusTcpServer
@@ -36,10 +36,6 @@ SWEEP_EVERY = 0.1  # seconds between two looks for values that turned stale
 LEAVE_WITHIN = 4.0  # seconds for drives to be seen to stop when the gateway ends
 LEAVE_STEP = 0.02
 RATES_EVERY = 1.0  # seconds over which load and exchanges per second are counted
-
-
-class CoreTaskEnded(GatewayError):
-    """A task that must run for ever has ended: the process ends too, and the service manager starts it anew."""
 
 
 class App:

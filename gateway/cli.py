@@ -1,10 +1,12 @@
-"""The command line: run, check, map, schema, registers, simulate, demo; scan, read, write, ...; store; trace."""
+"""The command line: run, check, map, schema, registers, simulate, demo; scan, read, write, ...; store; trace.
+
+What only one command needs is imported where that is carried out: the servers, the broker's client and the
+simulation take longer to be imported than it takes to read a value from a drive.
+"""
 
 from __future__ import annotations
 
-import asyncio
 import json
-import logging
 import sys
 from enum import StrEnum
 from pathlib import Path
@@ -12,26 +14,13 @@ from typing import Annotated
 
 import typer
 
-from gateway import __version__, check, check_rights, logs, site
-from gateway import demo as demonstration
-from gateway.app import App, CoreTaskEnded
-from gateway.clock import SystemClock
+from gateway import __version__, site
 from gateway.commissioning import commands as commissioning
 from gateway.config import Config
 from gateway.drives import catalogue
-from gateway.errors import BadConfig, GatewayError, Refused
-from gateway.image import Image
-from gateway.modbus_tcp import credentials, mapping, tags
-from gateway.mqtt import topics
-from gateway.mqtt.discovery import Discovery
-from gateway.sim import runner, settings
-from gateway.sparkplug import topics as sparkplug_topics
-from gateway.store import backlog
+from gateway.errors import BadConfig, CoreTaskEnded, GatewayError, Refused
 from gateway.store import commands as store
 from gateway.trace import commands as trace
-from gateway.trace.tracing import Tracing
-
-log = logging.getLogger("gateway")
 
 EXIT_UNAVAILABLE = 69  # sysexits(3): the numbers that service managers know
 EXIT_SOFTWARE = 70
@@ -99,41 +88,9 @@ def run(
     ] = None,
 ) -> None:
     """Run the gateway until SIGTERM or SIGINT."""
-    configured = check.load(file)
-    section = configured.config.gateway
-    show = [logs.SHOWN[name] for name in section.log.show]
-    logs.set_up(section.log.level, section.log.format, show=show)
-    chosen = loop or section.loop
-    if chosen not in ("uvloop", "asyncio"):
-        raise BadConfig(f"--loop {chosen}: give uvloop or asyncio")
-    factory = None
-    if chosen == "uvloop":
-        import uvloop
+    from gateway import running
 
-        factory = uvloop.new_event_loop
-    with asyncio.Runner(loop_factory=factory) as runner_:
-        runner_.run(_run(configured, file, record))
-
-
-async def _run(configured: site.Site, file: Path, record: Path | None) -> None:
-    """Run the gateway; at SIGHUP with the file as it is then."""
-    logs.watch_loop(asyncio.get_running_loop())
-    successor: site.Site | None = configured
-    before: site.Site | None = None  # what ran well, and is gone back to
-    while successor is not None:
-        check.warn(successor, file)
-        running, gateway = successor, None
-        try:
-            tracing = Tracing(running, record=record, is_continued=running is not configured)
-            gateway = App(running, load=lambda: check.load(file), tracing=tracing)
-            await gateway.run()
-        except GatewayError as error:
-            if before is None or (gateway is not None and gateway.has_started):
-                raise
-            log.error("not reloaded, the gateway goes back to what it was: %s", error)
-            successor, before = before, None
-        else:
-            successor, before = gateway.successor, running
+    running.run(file, loop, record)
 
 
 @app.command("check")
@@ -142,31 +99,11 @@ def check_file(
     strict: Annotated[bool, typer.Option("--strict", help="an error, too, where polls may be answered late")] = False,
 ) -> None:
     """Check a configuration and print what it comes to: exchanges, load, topics, register map."""
+    from gateway import check, overview
+
     configured = site.load(file)
-    for line in check.report(configured):
+    for line in overview.lines(configured):
         typer.echo(line)
-    for section in configured.config.brokers:
-        way = "" if section.commands else ": nothing is taken from it"
-        typer.echo(f"\nMQTT topics{f' of {section.label}{way}' if section.name else way}")
-        for topic in topics.overview(section, configured):
-            typer.echo(f"  {topic}")
-        typer.echo(f"  {backlog.summary(configured, section)}")
-        if section.home_assistant.enabled:
-            for topic in Discovery(section, configured.config.gateway.name, Image(configured.drives)).topics():
-                typer.echo(f"  {topic}")
-    if configured.config.sparkplug is not None:
-        typer.echo("\nSparkplug topics")
-        for topic in sparkplug_topics.overview(configured.config.sparkplug, configured):
-            typer.echo(f"  {topic}")
-        typer.echo(f"  {backlog.summary(configured, configured.config.sparkplug)}")
-    if configured.config.modbus_tcp is not None:
-        typer.echo("")
-        for line in check_rights.report(configured):
-            typer.echo(line)
-        if (tls := configured.config.modbus_tcp.tls) is not None:
-            typer.echo(f"  {credentials.report(tls, SystemClock().wall())}")
-        typer.echo("")
-        typer.echo(mapping.as_markdown(mapping.register_map(configured)))
     check.refuse(configured, file)
     if strict:
         check.refuse_late(configured, file)
@@ -181,6 +118,8 @@ def print_map(
     ] = MapFormat.MD,
 ) -> None:
     """Print the MODBUS-TCP register map of a configuration, for the SCADA engineer."""
+    from gateway.modbus_tcp import mapping, tags
+
     document = mapping.register_map(site.load(file))
     printers = {
         MapFormat.MD: mapping.as_markdown,
@@ -224,6 +163,8 @@ def simulate(
     control: Annotated[Path | None, typer.Option(help="a socket for what can be done to the line and asked")] = None,
 ) -> None:
     """Simulate drives on an RS485 line behind a pty, for any MODBUS-RTU or TOSHIBA master."""
+    from gateway.sim import runner, settings
+
     if (file is None) == (not drive):
         raise BadConfig("simulate: give a FILE or at least one --drive NUMBER:MODEL")
     config = settings.load(file) if file else settings.from_options(drive or [], baud=baud, parity=parity)
@@ -240,6 +181,8 @@ def demo(
     seconds: Annotated[float | None, typer.Option(help="end by itself after that time")] = None,
 ) -> None:
     """Show the main job without hardware: simulated drives, a broker, the gateway, and a live view."""
+    from gateway import demo as demonstration
+
     demonstration.run(demonstration.Ports(mqtt_port, modbus_tcp_port, web_port), seconds)
 
 

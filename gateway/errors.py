@@ -29,6 +29,10 @@ class BadReply(GatewayError):
     """Bytes that are no answer to the request: drain until silence, then as for silence."""
 
 
+class CoreTaskEnded(GatewayError):
+    """A task that must run for ever has ended: the process ends too, and the service manager starts it anew."""
+
+
 class Refusal(Enum):
     """Why a drive says no, whatever protocol it says it in.
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from gateway import site
-from gateway.app import App, CoreTaskEnded
+from gateway.app import App
 from gateway.bus.line import Line
 from gateway.clock import Clock
-from gateway.errors import LineDown
+from gateway.errors import CoreTaskEnded, LineDown
 from gateway.image import LinkState
 from gateway.metrics import LineStats
 from tests import virtual

@@ -149,3 +149,11 @@ def test_help_and_version() -> None:
         assert name in shown
     assert "Not a safety" in shown
     assert command("--version").stdout.startswith("tosvert-gateway ")
+
+
+def test_what_one_command_needs_no_other_waits_for() -> None:
+    """Nobody who reads a value waits until the servers and the broker's client are imported."""
+    program = "import sys, gateway.cli; print(*{name.partition('.')[0] for name in sys.modules})"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert "typer" in done.stdout.split()
+    assert not {"aiohttp", "paho", "pymodbus", "uvloop"} & set(done.stdout.split())
