@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-LIMIT = 30.0  # seconds after which a wait is given up
+LIMIT = 60.0  # seconds after which a wait is given up: several tests start programs at the same time
 
 
 def until(condition: Callable[[], Any], what: str) -> Any:

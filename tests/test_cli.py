@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import json
@@ -9,9 +10,11 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from unittest import mock
 
 import pytest
 
+from gateway.cli import run_command
 from gateway.config import Config
 
 ROOT = Path(__file__).parent.parent
@@ -42,11 +45,28 @@ def command(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+def called(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run the command in this process: all is imported already."""
+    code: str | int | None = 0
+    with (
+        mock.patch.object(sys, "argv", ["tosvert-gateway", *arguments]),
+        contextlib.redirect_stdout(io.StringIO()) as out,
+        contextlib.redirect_stderr(io.StringIO()) as errors,
+        contextlib.chdir(ROOT),
+    ):
+        try:
+            run_command()
+        except SystemExit as end:
+            code = end.code
+    assert isinstance(code, int)
+    return subprocess.CompletedProcess(arguments, code, out.getvalue(), errors.getvalue())
+
+
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.name)
 def test_check_prints_plan_topics_and_map_of_every_example(path: Path) -> None:
     """Topics and map of those that have them, and that nothing is wrong."""
     sections = tomllib.loads(path.read_text(encoding="utf-8"))
-    done = command("check", str(path))
+    done = called("check", str(path))
     assert done.returncode == 0, done.stderr
     for part in ("load with F875-F879", "no errors"):
         assert part in done.stdout
@@ -64,7 +84,7 @@ def test_check_says_nothing_of_what_is_not_configured(tmp_path: Path) -> None:
     """A drive alone has a plan, and neither topics nor a map."""
     path = tmp_path / "gateway.toml"
     path.write_text(ALONE, encoding="utf-8")
-    done = command("check", str(path))
+    done = called("check", str(path))
     assert done.returncode == 0, done.stderr
     assert "load with F875-F879" in done.stdout
     assert not any(part in done.stdout for _, part in TOLD)
@@ -79,7 +99,7 @@ def test_the_schema_in_config_is_the_one_that_the_command_prints() -> None:
 
 def test_the_schema_knows_every_section_and_forbids_what_it_does_not_know() -> None:
     """An editor finds a misspelt key."""
-    schema = json.loads(command("schema").stdout)
+    schema = json.loads(called("schema").stdout)
     assert set(schema["properties"]) == set(Config.model_fields)
     sections = [entry for entry in schema["$defs"].values() if "properties" in entry]
     assert all(section.get("additionalProperties") is False for section in sections)
@@ -89,13 +109,13 @@ def test_the_schema_knows_every_section_and_forbids_what_it_does_not_know() -> N
 def test_the_map_comes_as_markdown_csv_and_json() -> None:
     """The same registers in each; CSV with a heading and equal columns."""
     path = str(ROOT / "config" / "one-drive.toml")
-    assert "FD00" in command("map", path).stdout
-    rows = list(csv.reader(io.StringIO(command("map", path, "--format", "csv").stdout)))
+    assert "FD00" in called("map", path).stdout
+    rows = list(csv.reader(io.StringIO(called("map", path, "--format", "csv").stdout)))
     assert len(rows) > 20
     assert len({len(row) for row in rows}) == 1
     assert any("output_frequency" in row for row in rows)
-    assert "output_frequency" in json.dumps(json.loads(command("map", path, "--format", "json").stdout))
-    tags = list(csv.DictReader(io.StringIO(command("map", path, "--format", "tags").stdout)))
+    assert "output_frequency" in json.dumps(json.loads(called("map", path, "--format", "json").stdout))
+    tags = list(csv.DictReader(io.StringIO(called("map", path, "--format", "tags").stdout)))
     assert "464769" in [tag["Address"] for tag in tags]
 
 
@@ -104,20 +124,20 @@ def test_a_strict_check_refuses_what_may_be_late(tmp_path: Path) -> None:
     example = (ROOT / "config" / "line-of-eight.toml").read_text(encoding="utf-8")
     late, kept = tmp_path / "late.toml", ROOT / "config" / "one-drive.toml"
     late.write_text(example.replace('"250ms"', '"20ms"'), encoding="utf-8")
-    assert command("check", str(late)).returncode == 0
-    refused = command("check", "--strict", str(late))
+    assert called("check", str(late)).returncode == 0
+    refused = called("check", "--strict", str(late))
     assert (refused.returncode, "DOES NOT FIT" in refused.stdout) == (78, True)
     assert "line[0]" in refused.stderr
     assert "polls every 20 ms" in refused.stderr
-    assert command("check", "--strict", str(kept)).returncode == 0
+    assert called("check", "--strict", str(kept)).returncode == 0
 
 
 def test_registers_lists_what_a_model_has() -> None:
     """By number, with unit and access; derived values behind."""
-    listed = command("registers", "vf-nc3").stdout
+    listed = called("registers", "vf-nc3").stdout
     assert "FD00  output_frequency" in listed
     assert "output_current_amps" in listed
-    unknown = command("registers", "vf-s15")
+    unknown = called("registers", "vf-s15")
     assert unknown.returncode == 78
     assert "known: vf-as3, vf-mb1, vf-nc3" in unknown.stderr
 

@@ -312,6 +312,7 @@ def test_the_next_expiry_is_that_of_the_first_value_to_turn_stale() -> None:
     assert image.next_expiry(NOW + 3.1) == float("inf")
 
 
+@pytest.mark.unmeasured
 @pytest.mark.hazard("H19")
 @given(st.data())
 def test_reading_agrees_with_a_naive_image(data: st.DataObject) -> None:

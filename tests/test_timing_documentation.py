@@ -53,6 +53,7 @@ def table() -> list[list[str]]:
     return [row for row in rows[start:] if row[0].isdigit()]
 
 
+@pytest.mark.unmeasured
 @pytest.mark.parametrize("baud", BAUDS)
 def test_the_table_is_what_check_says(baud: int) -> None:
     """As fast as possible, and the shortest period that is kept, for 1 to 31 drives."""

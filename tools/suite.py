@@ -2,8 +2,8 @@
 
 `python -m tools.suite [ARGUMENTS OF PYTEST]`. Tests that need nothing but a processor share all of them; so do
 those that go through many thousands of inputs, or play the whole daemon in virtual time, whose coverage is not
-measured, for measuring takes three times as long; of the tests with real programs, which mostly wait, two files are
-under way at a time.
+measured, for measuring takes three times as long; of the tests with real programs, which mostly wait, three are under
+way at a time, and those who have done with theirs take over from others.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Part:
 PARTS = (
     Part("measured", "not e2e and not unmeasured", ("-n", "auto", "--cov", "--cov-branch", "--cov-report=")),
     Part("unmeasured", "unmeasured", ("-n", "auto")),
-    Part("with real programs", "e2e", ("-n", "2", "--dist", "loadfile", "--cov", "--cov-branch", "--cov-append")),
+    Part("with real programs", "e2e", ("-n", "3", "--dist", "worksteal", "--cov", "--cov-branch", "--cov-append")),
 )
 
 

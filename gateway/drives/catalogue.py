@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
 from importlib import resources
 from pathlib import Path
+from types import MappingProxyType
 
 from gateway.drives.building import build
 from gateway.drives.catalogue_file import parse
@@ -16,15 +18,22 @@ Catalogue = Mapping[str, Model]
 
 def load(extra: Iterable[Path] = ()) -> Catalogue:
     """Read the built-in models and then the user's files, in order; BadConfig says file, key and reason."""
-    models: dict[str, Model] = {}
-    for name, text in _built_in():
-        _add(models, name, text)
+    models = dict(built_in())
     for path in extra:
         _add(models, str(path), _read(path))
     return models
 
 
-def _built_in() -> Iterator[tuple[str, str]]:
+@cache
+def built_in() -> Catalogue:
+    """Read the built-in models, once for a process: models never change, and to build them takes a while."""
+    models: dict[str, Model] = {}
+    for name, text in _files():
+        _add(models, name, text)
+    return MappingProxyType(models)
+
+
+def _files() -> Iterator[tuple[str, str]]:
     folder = resources.files("gateway.drives") / "data"
     for entry in sorted(folder.iterdir(), key=lambda item: item.name):
         if entry.name.endswith(".toml"):

@@ -67,6 +67,7 @@ def test_one_place_on_the_grid_for_each_poll_of_each_drive() -> None:
     assert sorted(places) == pytest.approx([place / 16 for place in range(16)])
 
 
+@pytest.mark.unmeasured
 @settings(max_examples=40, deadline=None)
 @given(st.integers(1, 31), st.integers(1, 4), st.integers(0, 99))
 def test_the_longest_gap_is_near_the_period(drives: int, values: int, seed: int) -> None:
@@ -79,6 +80,7 @@ def test_the_longest_gap_is_near_the_period(drives: int, values: int, seed: int)
     assert max(found.values()) <= period + COST + 1e-6
 
 
+@pytest.mark.unmeasured
 @settings(max_examples=25, deadline=None)
 @given(st.integers(2, 16), st.lists(st.integers(1, 3), min_size=3, max_size=3), st.integers(0, 99))
 def test_several_groups_leave_each_other_their_places(drives: int, values: list[int], seed: int) -> None:

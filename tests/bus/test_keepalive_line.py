@@ -160,6 +160,7 @@ def test_no_drive_comes_nearer_to_its_time_out_than_two_thirds(protocol: str) ->
     assert min(margins.values()) >= 2 / 3 * float(least)
 
 
+@pytest.mark.unmeasured
 @pytest.mark.hazard("H06")
 @pytest.mark.parametrize("protocol", ["modbus-rtu", "toshiba-ascii", "toshiba-binary"])
 def test_drives_that_are_hardly_polled_are_talked_to_in_time_all_the_same(protocol: str) -> None:

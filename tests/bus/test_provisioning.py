@@ -135,6 +135,7 @@ def test_somebody_who_sets_them_back_is_not_fought() -> None:
     run(lambda: bench([{"number": 1, "model": "vf-nc3", "running_at": 40.0}], drive=PROVISION), play)
 
 
+@pytest.mark.unmeasured
 @pytest.mark.parametrize("seed", range(8))
 def test_lost_answers_do_not_wear_the_eeprom_twice(seed: int) -> None:
     """A write without an answer is read back before it is made again; at most two of one selector."""

@@ -167,6 +167,7 @@ def test_a_drive_that_answers_is_no_longer_probed() -> None:
     assert not plan.is_probed("a")
 
 
+@pytest.mark.unmeasured
 @given(
     st.lists(st.sampled_from([0.0, 0.05, 0.1, 0.5, 1.0, 10.0]), min_size=1, max_size=12),
     st.floats(0.005, 0.08),

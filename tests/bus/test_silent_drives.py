@@ -27,6 +27,7 @@ def times(stage: Bench, drive: str) -> list[float]:
     return [time for name, names, time in stage.applied if name == drive and len(names) >= 5]
 
 
+@pytest.mark.unmeasured
 @pytest.mark.parametrize("every", ["0s", "50ms"])
 @pytest.mark.parametrize("dead", [1, 7])
 def test_the_drive_that_is_left_keeps_nine_tenths_of_its_rate(dead: int, every: str) -> None:
@@ -64,6 +65,7 @@ def deafen(stage: Bench, number: int, deaf_to: Callable[[bytes], bool]) -> None:
     drive.handle = handle  # type: ignore[method-assign]  # this one drive only
 
 
+@pytest.mark.unmeasured
 @pytest.mark.parametrize("half_dead", [1, 7])
 def test_drives_that_only_say_who_they_are_cost_no_more_than_silent_ones(half_dead: int) -> None:
     """They are there, and each poll costs a time-out: they are polled ever more seldom."""
@@ -97,6 +99,7 @@ def test_a_block_that_is_not_answered_any_more_is_given_up() -> None:
     run(lambda: bench([nc3(1)], EVERY), play)
 
 
+@pytest.mark.unmeasured
 @pytest.mark.parametrize("away", [0.15, 0.5, 3.0, 60.0])
 @pytest.mark.parametrize("moment", [0.0, 0.037, 0.081])
 def test_a_drive_that_returns_is_read_within_one_interval_of_tries(away: float, moment: float) -> None:

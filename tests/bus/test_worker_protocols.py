@@ -152,6 +152,7 @@ def test_a_drive_that_knows_no_series_code_is_believed_where_nothing_speaks_agai
     run(made, play)
 
 
+@pytest.mark.unmeasured
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_bad_line_brings_no_wrong_value(protocol: str, seed: int) -> None:

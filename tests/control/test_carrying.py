@@ -273,6 +273,7 @@ def faulty(monkeypatch: pytest.MonkeyPatch, places: range, do: Callable[[], None
     monkeypatch.setattr(Trial, "next", watching)
 
 
+@pytest.mark.unmeasured
 @pytest.mark.parametrize("which", range(16))
 @pytest.mark.parametrize("times", [1, 3])
 def test_a_trial_frame_that_is_lost_leaves_nothing_behind(

@@ -234,4 +234,4 @@ class CommandPath(RuleBasedStateMachine):
 
 
 TestCommandPath = pytest.mark.unmeasured(pytest.mark.hazard("H04", "H10", "H11")(CommandPath.TestCase))
-TestCommandPath.settings = settings(max_examples=200 * soak.FACTOR, stateful_step_count=40, deadline=None)
+TestCommandPath.settings = settings(max_examples=120 * soak.FACTOR, stateful_step_count=40, deadline=None)

@@ -157,6 +157,7 @@ def test_versions(text: str, number: int) -> None:
     assert version_number(text) == number
 
 
+@pytest.mark.unmeasured
 @pytest.mark.hazard("H19")
 @given(st.data())
 def test_the_block_kept_is_the_block_built_anew(data: st.DataObject) -> None:

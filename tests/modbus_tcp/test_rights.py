@@ -143,6 +143,7 @@ RIGHTS = st.builds(
 )
 
 
+@pytest.mark.unmeasured
 @given(st.lists(RIGHTS, max_size=4), st.integers(0, 3), st.integers(0, 30), st.integers(1, 8))
 def test_rights_are_what_a_look_at_every_register_says(
     given_: list[Right], unit: int, first: int, count: int

@@ -69,6 +69,7 @@ def inputs(protocol: str, rng: Random) -> Iterator[bytes]:
         yield refreshed(protocol, frame) if rng.random() < 0.5 else frame
 
 
+@pytest.mark.unmeasured
 @pytest.mark.parametrize("protocol", list(ALPHABETS))
 @pytest.mark.parametrize("model", ["vf-nc3", "vf-mb1"])
 def test_no_bytes_break_a_drive_and_no_wrong_check_is_obeyed(protocol: str, model: str) -> None:
@@ -101,6 +102,7 @@ def is_checksum_error(answer: bytes) -> bool:
     return answer[-4:-1] in (b"N\x00\x04", b"n\x00\x04")
 
 
+@pytest.mark.unmeasured
 @pytest.mark.parametrize(
     "frame",
     [

@@ -8,16 +8,12 @@ import os
 import socket
 import threading
 from collections.abc import Iterator
-from functools import cache
-from pathlib import Path
 from types import SimpleNamespace
 from unittest import mock
 
 import paho.mqtt.client
 
 import gateway.app
-from gateway.drives import catalogue
-from gateway.drives.catalogue import Catalogue
 from gateway.modbus_tcp import sockets
 from tests.simulation.links import Network
 from tests.simulation.world import World
@@ -29,14 +25,6 @@ class AtOnce(threading.Thread):
     def start(self) -> None:
         """Do the work."""
         self.run()
-
-
-@cache
-def _catalogue(files: tuple[Path, ...]) -> Catalogue:
-    return _load(files)
-
-
-_load = catalogue.load
 
 
 @contextlib.contextmanager
@@ -63,10 +51,3 @@ def applied(world: World, network: Network) -> Iterator[None]:
             yield
         finally:
             logging.disable(before)
-
-
-@contextlib.contextmanager
-def catalogue_kept() -> Iterator[None]:
-    """Read the catalogue once for all trials."""
-    with mock.patch.object(catalogue, "load", lambda files=(): _catalogue(tuple(files))):
-        yield

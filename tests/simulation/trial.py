@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from dataclasses import dataclass
 
-from tests.simulation import patches
 from tests.simulation.loop import SimulatedLoop
 from tests.simulation.plant import Plant
 from tests.simulation.scenarios import LONG, SCENARIOS
@@ -43,7 +42,7 @@ def run(name: str, seed: int) -> Trial:
             await plant.end()
         return plant
 
-    with patches.catalogue_kept(), asyncio.Runner(loop_factory=lambda: loop) as runner:
+    with asyncio.Runner(loop_factory=lambda: loop) as runner:
         plant = runner.run(main())
     watched = plant.oracle.watched.values()
     return Trial(

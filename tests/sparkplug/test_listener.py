@@ -351,6 +351,7 @@ def test_a_state_that_is_none_changes_nothing() -> None:
     assert gate.stats.ignored == 1
 
 
+@pytest.mark.unmeasured
 @pytest.mark.hazard("H17")
 def test_whatever_a_host_sends_nothing_escapes_and_each_command_has_one_result() -> None:
     """Mutated commands for the node and for drives: they come to the door, are refused, or mean nothing."""

@@ -151,6 +151,7 @@ def test_what_is_not_known_is_passed_over() -> None:
     assert read.metrics[0].value == b"\x08\x01"
 
 
+@pytest.mark.unmeasured
 @pytest.mark.hazard("H17")
 def test_whatever_bytes_come_they_are_read_or_refused() -> None:
     """Mutated payloads: nothing but a payload or BadPayload comes of them, and no more than they hold."""
