@@ -176,7 +176,7 @@ async def test_the_end_is_said_and_the_connection_closed_in_order(broker: Mosqui
             await heard.until_payload(STATUS, "online")
         await heard.until(lambda: '"output_frequency":null' in heard.newest()[f"{ROOT}/state"])
         assert heard.newest()[FREQUENCY] == ""
-        assert heard.on(STATUS)[-1] == "offline"
+        await heard.until_payload(STATUS, "offline")
         assert heard.on(STATUS).count("offline") == 1
         assert heard.newest()[f"{ROOT}/availability"] == "offline"
         assert heard.newest()[f"{FREQUENCY}/quality"] == "offline"

@@ -117,7 +117,7 @@ async def test_tls_with_a_client_certificate(authority: Authority, version: str)
                     made.read(output_frequency=word, torque=word)
                 await heard.until_payload(FREQUENCY, "0.50")
                 await heard.until(lambda: '"torque":0.50' in heard.newest()[f"{ROOT}/state"])
-            assert heard.on(STATUS)[-1] == "offline"
+            await heard.until_payload(STATUS, "offline")
 
 
 async def test_all_of_a_tls_record_is_read(authority: Authority) -> None:
