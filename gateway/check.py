@@ -8,7 +8,7 @@ from math import isfinite
 from pathlib import Path
 
 from gateway import check_control, site
-from gateway.bus import fitting, groups, refresh, traffic
+from gateway.bus import arming, fitting, groups, refresh, traffic
 from gateway.bus.blocks import PlannedRead
 from gateway.bus.plan import DrivePlan, exchanges, plan_drive
 from gateway.bus.response import Traffic
@@ -48,8 +48,8 @@ def refuse_late(configured: Site, path: Path) -> None:
 
 
 def warn(configured: Site, path: Path) -> None:
-    """Log what `refuse` would say of communication time-outs that cannot be kept: a plant is run with them."""
-    for text in refresh.too_short(configured):
+    """Log what `refuse` would say of time-outs that cannot be kept, and of commands: a plant is run with them."""
+    for text in (*refresh.too_short(configured), *arming.too_short(configured)):
         log.warning("%s: %s", path, text)
 
 
@@ -95,7 +95,7 @@ def _line(line: Line) -> Iterator[str]:
     disturbed = traffic.disturbed(line, best).worst
     for plan in best:
         yield from _drive(plan, undisturbed, disturbed)
-        yield from check_control.drive(plan.drive, worst)
+        yield from check_control.drive(plan.drive, line, worst)
     for group in line.groups:
         members = [drive for drive in line.drives if drive.name in group.drives]
         frames = groups.reach(members, line.drives)
