@@ -20,6 +20,7 @@ from gateway.site import Line, Site
 log = logging.getLogger("gateway")
 
 FULL = 1.0  # share of the line
+FASTEST = 38400  # baud, of F800
 EXCHANGE_TAKES = 0.0006  # seconds of a processor for one exchange: python -m bench.many_lines
 BUSY = 0.7  # of a core: beyond it lines wait for each other
 
@@ -119,9 +120,13 @@ def _advice(
 ) -> Iterator[str]:
     load = sum(plan.load for plan in best)
     if load > FULL:
+        longer = max(load, undisturbed.load)  # with the checks of blocks and F803, as each group is reckoned
+        ways = "fewer values or longer periods"
+        if line.baud < FASTEST:
+            ways = f"fewer values, longer periods, or raise F800 ({FASTEST}) and line.baud together"
         yield (
-            f"  DOES NOT FIT: {load:.0%} of the line is asked for. Every period will come out about {load:.1f} times"
-            " as long. Ask for fewer values, longer periods, or raise F800 (38400) and line.baud together."
+            f"  DOES NOT FIT: {load:.0%} of the line is asked for. Every period will come out about"
+            f" {longer:.1f} times as long. Ask for {ways}."
         )
     elif sum(plan.load for plan in shipped) > FULL:
         yield "  FITS ONLY with F875-F879 set as below (and the drives reset afterwards)."
