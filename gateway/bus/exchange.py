@@ -201,10 +201,12 @@ class Exchanger:
             if reply is not None:
                 shortest = least if isinstance(reply, Identity) else size
                 if self._is_believed(listening, decoder.received, begun, sent, shortest):
+                    self._late.unasked(decoder.received, now)
                     return reply
                 decoder = self._anew(codec, request)
             if not data:
                 break
+        self._late.unasked(decoder.received, self._clock.now())
         raise self._unanswered(listening, request, decoder.received)
 
     def _note(self, now: float, data: bytes, kept_back: int, *, is_echo: bool) -> None:

@@ -11,27 +11,33 @@ from gateway.errors import Refused
 from gateway.protocol.codec import Codec
 from gateway.protocol.pdu import Request, Target
 
+LONGEST = 2.5  # seconds: F805 goes up to 2.00 s (E6581657 6.5)
+
 
 @dataclass(slots=True)
 class LateAnswers:
     """Which drives of a line were late the last time that they were heard. Times are in seconds."""
 
-    _missed: tuple[Codec, Request, float] | None = None
+    _missed: dict[Target, tuple[Codec, Request, float]] = field(default_factory=dict)  # by number, when it was sent
     _late: dict[Target, float] = field(default_factory=dict)  # by number, from the end of the request
 
     def missed(self, codec: Codec, request: Request, sent: float) -> None:
         """Take that a request which ended at `sent` got no answer in its time."""
-        self._missed = codec, request, sent
+        self._missed[request.number] = codec, request, sent
 
     def unasked(self, data: bytes, ended: float) -> None:
-        """Take what came between two exchanges, and when it ended: it may be what was missed before."""
-        if self._missed is not None and data and _is_answer(self._missed[0], self._missed[1], data):
-            self._late[self._missed[1].number] = ended - self._missed[2]
-        self._missed = None
+        """Take bytes that are no answer to what was asked last, and when they ended: they may be what was missed."""
+        for number, (codec, request, sent) in list(self._missed.items() if data else ()):
+            if ended - sent > LONGEST:
+                del self._missed[number]
+            elif _is_answer(codec, request, data):
+                self._late[number] = ended - sent
+                del self._missed[number]
 
     def in_time(self, number: Target) -> None:
         """Take that a drive has answered in time."""
         self._late.pop(number, None)
+        self._missed.pop(number, None)
 
     def said(self, number: Target) -> str:
         """Say of a drive that does not answer in time that it did answer later; "" where it did not."""

@@ -7,8 +7,8 @@ import asyncio
 import pytest
 
 from gateway.bus.exchange import Exchanger
-from gateway.bus.lateness import LateAnswers
-from gateway.errors import NoReply
+from gateway.bus.lateness import LONGEST, LateAnswers
+from gateway.errors import BadReply, NoReply
 from gateway.image import LinkState
 from gateway.metrics import LineStats
 from gateway.protocol.codec import Codec
@@ -68,8 +68,52 @@ def test_an_answer_in_time_clears_a_drive_of_lateness(protocol: str) -> None:
     virtual.run(main())
 
 
+@every_protocol
+def test_a_late_answer_is_known_when_a_neighbour_is_asked_meanwhile(protocol: str) -> None:
+    """What was missed is remembered while others are talked to."""
+
+    async def main() -> None:
+        spoken = "modbus-rtu" if protocol == "modbus-rtu" else "toshiba"
+        drives = [{"number": number, "model": "vf-nc3", "protocol": spoken} for number in (1, 2)]
+        made = bench(drives, drive={"protocol": protocol})
+        made.wire.faults.add(Fault(Kind.LATE, 1, value=LATE))
+        clock, line = virtual.VirtualClock(), made.configured.lines[0]
+        port = await made.open(line, clock)
+        exchanger, codec = Exchanger(port, line.timing, line.margin, clock, LineStats()), PROTOCOLS[protocol]
+        with pytest.raises(NoReply, match=r"no answer$"):
+            await exchanger.exchange(codec, REQUEST, PROCESSING)
+        await exchanger.exchange(codec, ReadWords(2, FREQUENCY), PROCESSING)
+        await asyncio.sleep(2 * LATE)
+        await exchanger.exchange(codec, ReadWords(2, FREQUENCY), PROCESSING)
+        with pytest.raises(NoReply, match=r"number 1: no answer in time; one came after 2\d\d ms"):
+            await exchanger.exchange(codec, REQUEST, PROCESSING)
+
+    virtual.run(main())
+
+
+def test_a_late_answer_among_other_bytes_is_known() -> None:
+    """In front of a neighbour's answer it is junk to whoever waits for that one, and tells as much."""
+
+    async def main() -> None:
+        drives = [{"number": number, "model": "vf-nc3", "protocol": "modbus-rtu"} for number in (1, 2)]
+        made = bench(drives)
+        made.wire.faults.add(Fault(Kind.LATE, 1, value=LATE))
+        clock, line = virtual.VirtualClock(), made.configured.lines[0]
+        port = await made.open(line, clock)
+        exchanger, codec = Exchanger(port, line.timing, line.margin, clock, LineStats()), PROTOCOLS["modbus-rtu"]
+        with pytest.raises(NoReply):
+            await exchanger.exchange(codec, REQUEST, PROCESSING)
+        made.wire.faults.add(Fault(Kind.CUT, 2))
+        with pytest.raises(BadReply, match="number 2: 7 bytes that are no answer"):  # those of number 1
+            await exchanger.exchange(codec, ReadWords(2, FREQUENCY), 2 * LATE)
+        with pytest.raises(NoReply, match=r"number 1: no answer in time"):
+            await exchanger.exchange(codec, REQUEST, PROCESSING)
+
+    virtual.run(main())
+
+
 def test_noise_between_two_exchanges_makes_no_drive_late() -> None:
-    """Bytes that hold no answer to what was missed say nothing, nor does an answer that nobody missed."""
+    """Bytes that are no answer to what was missed say nothing, nor does what nobody missed, or missed long ago."""
     codec, answer = PROTOCOLS["modbus-rtu"], bytes.fromhex("01 03 02 17 70 B6 50")
     late = LateAnswers()
     late.unasked(answer, 1.0)
@@ -77,10 +121,10 @@ def test_noise_between_two_exchanges_makes_no_drive_late() -> None:
     late.missed(codec, REQUEST, 1.0)
     late.unasked(answer[:-1] + b"\x00", 1.2)
     assert late.said(1) == ""
-    late.unasked(answer, 1.3)  # the chance is over: another exchange has been since
+    late.unasked(answer, 1.1 + LONGEST)
     assert late.said(1) == ""
-    late.missed(codec, REQUEST, 2.0)
-    late.unasked(b"\xff" + answer, 2.25)
+    late.missed(codec, REQUEST, 5.0)
+    late.unasked(b"\xff" + answer, 5.25)
     assert "250 ms" in late.said(1)
     assert late.said(2) == ""
 
