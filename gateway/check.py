@@ -8,7 +8,7 @@ from math import isfinite
 from pathlib import Path
 
 from gateway import check_control, site
-from gateway.bus import fitting, groups, refresh, traffic
+from gateway.bus import arming, fitting, groups, refresh, traffic
 from gateway.bus.blocks import PlannedRead
 from gateway.bus.plan import DrivePlan, exchanges, plan_drive
 from gateway.bus.response import Traffic
@@ -20,6 +20,7 @@ from gateway.site import Line, Site
 log = logging.getLogger("gateway")
 
 FULL = 1.0  # share of the line
+FASTEST = 38400  # baud, of F800
 EXCHANGE_TAKES = 0.0006  # seconds of a processor for one exchange: python -m bench.many_lines
 BUSY = 0.7  # of a core: beyond it lines wait for each other
 
@@ -48,8 +49,8 @@ def refuse_late(configured: Site, path: Path) -> None:
 
 
 def warn(configured: Site, path: Path) -> None:
-    """Log what `refuse` would say of communication time-outs that cannot be kept: a plant is run with them."""
-    for text in refresh.too_short(configured):
+    """Log what `refuse` would say of time-outs that cannot be kept, and of commands: a plant is run with them."""
+    for text in (*refresh.too_short(configured), *arming.too_short(configured)):
         log.warning("%s: %s", path, text)
 
 
@@ -95,7 +96,7 @@ def _line(line: Line) -> Iterator[str]:
     disturbed = traffic.disturbed(line, best).worst
     for plan in best:
         yield from _drive(plan, undisturbed, disturbed)
-        yield from check_control.drive(plan.drive, worst)
+        yield from check_control.drive(plan.drive, line, worst)
     for group in line.groups:
         members = [drive for drive in line.drives if drive.name in group.drives]
         frames = groups.reach(members, line.drives)
@@ -119,9 +120,13 @@ def _advice(
 ) -> Iterator[str]:
     load = sum(plan.load for plan in best)
     if load > FULL:
+        longer = max(load, undisturbed.load)  # with the checks of blocks and F803, as each group is reckoned
+        ways = "fewer values or longer periods"
+        if line.baud < FASTEST:
+            ways = f"fewer values, longer periods, or raise F800 ({FASTEST}) and line.baud together"
         yield (
-            f"  DOES NOT FIT: {load:.0%} of the line is asked for. Every period will come out about {load:.1f} times"
-            " as long. Ask for fewer values, longer periods, or raise F800 (38400) and line.baud together."
+            f"  DOES NOT FIT: {load:.0%} of the line is asked for. Every period will come out about"
+            f" {longer:.1f} times as long. Ask for {ways}."
         )
     elif sum(plan.load for plan in shipped) > FULL:
         yield "  FITS ONLY with F875-F879 set as below (and the drives reset afterwards)."

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from gateway.bus import arming
 from gateway.bus.refresh import WorstCase, refreshes, worst_case
 from gateway.config import DriveSection, FallbackSection
 from gateway.control.settings import TIMEOUT_ACTIONS, TIMEOUT_DETECTIONS
@@ -30,7 +31,7 @@ def line(of: Line) -> Iterator[str]:
         yield f"    {refresh.drive}: {refresh}"
 
 
-def drive(of: Drive, worst: WorstCase) -> Iterator[str]:
+def drive(of: Drive, on: Line, worst: WorstCase) -> Iterator[str]:
     """Yield how a drive may be commanded, and in words what is dangerous about that."""
     section = of.section
     if section is None or not of.is_controlled:
@@ -46,6 +47,8 @@ def drive(of: Drive, worst: WorstCase) -> Iterator[str]:
         yield f"    F803 is not configured:{zero} below {worst.least_timeout} s it cannot be kept"
     for warning in _warnings(section):
         yield f"    WARNING: {warning}"
+    if hasty := arming.objection(on, of):
+        yield f"    WARNING: command_timeout {hasty}"
 
 
 def _loss(section: DriveSection) -> str:

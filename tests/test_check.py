@@ -52,6 +52,14 @@ def test_what_does_not_fit_is_said_with_a_remedy() -> None:
     assert "38400" in said
 
 
+def test_a_line_at_the_highest_baud_rate_is_not_told_to_raise_it() -> None:
+    """And how much longer the periods come out is the same number as in what each group reaches."""
+    said = text(built([{"values": FIVE, "every": "100ms"}], drives=8, baud=38400))
+    assert "come out about 2.1 times as long. Ask for fewer values or longer periods.\n" in said
+    assert "asked 100 ms, reachable about 206 ms" in said
+    assert "raise F800" not in said
+
+
 def test_what_to_change_is_said_and_is_enough() -> None:
     """The period, or the baud rate, that is named: with it every poll is in time."""
     said = text(built([{"values": FIVE, "every": "250ms"}], drives=8))

@@ -14,6 +14,7 @@ from gateway.control.state import Errand
 from gateway.protocol.codec import Codec, NoSuchForm
 from gateway.protocol.pdu import WriteRam
 
+FRAMES_IN_A_ROW = 2  # of commands, a write and its read-back, behind which a poll that is overdue goes first
 SOON = 0.2  # seconds behind a command, beyond which no shorter deadline of another drive's goes ahead of it
 
 

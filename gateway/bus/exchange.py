@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from gateway.bus.echo import Listening, LocalEcho
+from gateway.bus.lateness import LateAnswers
 from gateway.bus.line import Line
 from gateway.clock import Clock
 from gateway.errors import BadReply, LineDown, NoReply, Refused
@@ -65,6 +66,7 @@ class Exchanger:
         self._stats.has_echo = self._echo.is_present
         self._tap = tap
         self._heard = Hearing()
+        self._late = LateAnswers()
         self._before: tuple[Codec, Request] | None = None
         self._early = 0
         self._is_untimed = False
@@ -88,7 +90,7 @@ class Exchanger:
         has been drained. LineDown, NoSuchForm and TooLate pass through; after the latter two nothing was sent.
         """
         frame = codec.encode(request)
-        quiet_since = 0.0 if self._tap is None else await self._tell_unasked(self._tap)
+        quiet_since = await self._take_unasked()
         begun = await self._line.write(frame, not_after)
         self._before = codec, request
         self._stats.exchanges += 1
@@ -100,10 +102,12 @@ class Exchanger:
         try:
             reply = await self._converse(codec, request, frame, begun, sent, processing)
             verdict = Verdict.NOT_AWAITED if reply is None else Verdict.ANSWERED
+            self._late.in_time(request.number)
         except (NoReply, BadReply) as error:
             verdict, note = Verdict.of(error), str(error)
             heard.end()
             await self._drain()
+            self._late.missed(codec, request, sent)
             if isinstance(error, BadReply) or codec.answering(request) is not Answering.MAYBE:
                 raise
             verdict, note = Verdict.NOT_AWAITED, ""
@@ -128,14 +132,16 @@ class Exchanger:
             return None
         return await self._answer(codec, request, frame, begun, sent, processing)
 
-    async def _tell_unasked(self, tap: Tap) -> float:
-        """Tell what came since the last exchange, before it is thrown away; return since when the line is quiet."""
+    async def _take_unasked(self) -> float:
+        """Take what came since the last exchange, before it is thrown away; return since when the line is quiet."""
         since = self._clock.now()
         try:
             since = await self._line.quiet()
         finally:
-            if data := await self._line.read(self._clock.now()):
-                tap(Unasked(since, data, self._before))
+            data = await self._line.read(self._clock.now())
+            self._late.unasked(data, since)
+            if data and self._tap is not None:
+                self._tap(Unasked(since, data, self._before))
         return since
 
     async def _drain(self) -> None:
@@ -195,10 +201,12 @@ class Exchanger:
             if reply is not None:
                 shortest = least if isinstance(reply, Identity) else size
                 if self._is_believed(listening, decoder.received, begun, sent, shortest):
+                    self._late.unasked(decoder.received, now)
                     return reply
                 decoder = self._anew(codec, request)
             if not data:
                 break
+        self._late.unasked(decoder.received, self._clock.now())
         raise self._unanswered(listening, request, decoder.received)
 
     def _note(self, now: float, data: bytes, kept_back: int, *, is_echo: bool) -> None:
@@ -220,7 +228,7 @@ class Exchanger:
             self._stats.errors["echo"] += 1
             return NoReply(f"number {number}: only the echo of the request; the drive does not answer")
         if not received:
-            return NoReply(f"number {number}: no answer{listening.said}")
+            return NoReply(f"number {number}: no answer{self._late.said(number)}{listening.said}")
         return BadReply(f"number {number}: {len(received)} bytes that are no answer: {received[:32].hex(' ')}")
 
     def _learn(self, listening: Listening, is_copied: Callable[[], bool]) -> None:

@@ -31,6 +31,8 @@ class Links:
             is_trouble = state in (LinkState.OFFLINE, LinkState.STRANGER)
             level = logging.WARNING if is_trouble else logging.INFO
             log.log(level, "%s is %s%s", station.drive.name, state.word, f": {reason}" if reason else "")
+        if station.is_lost:
+            station.is_tripped = None
         station.image.set_link(state, reason)
         self._tell_control(station, reason, is_reply=heard is Heard.REPLY)
 

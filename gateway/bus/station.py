@@ -38,6 +38,7 @@ class Station:
         self.link = Link()
         self.vain = 0  # polls without an answer in a row, whoever it says it is
         self.trip_looked = float("-inf")  # when the trip code was read anew because the status says otherwise
+        self.is_tripped: bool | None = None  # by its last answer that said so, before it is online as well
         self.trip_signs: dict[str, bool] = {}  # MODBUS-RTU: by FC90, and by the bit in FD01
         self.is_left_alone = False  # by its control, so that its own time-out acts
         self.quiet_until = float("-inf")  # nothing but identifications before: a late answer might be believed
@@ -58,6 +59,7 @@ class Station:
     def forget(self) -> None:
         """Forget all that a reset or another drive may have changed."""
         self.reader.forget()
+        self.is_tripped = None
         self.trip_signs.clear()
 
 

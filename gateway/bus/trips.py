@@ -30,12 +30,15 @@ class Trips:
         """Take what an answer said of a trip; at each change the trip code and the status are read at once."""
         if (control := self._served.control_of(station)) is not None:
             control.presence.on_trip(is_tripped)
-        if is_tripped is None or is_tripped is station.image.is_tripped:
+        if is_tripped is None:
             return
-        if is_tripped:
+        before, station.is_tripped = station.is_tripped, is_tripped
+        if is_tripped and not before:
             log.warning("%s is tripped", station.drive.name)
-        elif station.image.is_tripped is not None:
+        elif before and not is_tripped:
             log.info("%s is no longer tripped", station.drive.name)
+        if is_tripped is station.image.is_tripped or not station.link.state.is_connected:
+            return  # of one that is being set up, or is another drive, nothing is published yet
         station.image.set_tripped(is_tripped)
         if station.reader.is_set_up:
             self._learning.add(station, station.reader.jobs.on_trip(), now)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from gateway import site
 from gateway.bus import promises
 from gateway.bus.command_frames import CommandFrames
-from gateway.bus.controls import Broadcast
+from gateway.bus.controls import FRAMES_IN_A_ROW, Broadcast
 from gateway.bus.echo import LocalEcho
 from gateway.bus.exchange import Exchanger
 from gateway.bus.learning import Learning
@@ -36,7 +36,6 @@ log = logging.getLogger("gateway.bus")
 
 REOPEN_FIRST = 0.5  # seconds; doubled up to the last
 REOPEN_LAST = 10.0
-COMMAND_FRAMES = 2  # in a row, a write and its read-back, behind which a poll that is overdue goes first
 IDLE_WAIT = 1.0  # seconds, when there is nothing to do at all
 
 
@@ -171,7 +170,7 @@ class LineWorker:
 
     def _owes_poll(self, now: float) -> bool:
         """Say whether a poll goes before the next command: whoever commands without end does not end the polling."""
-        return self._command_frames >= COMMAND_FRAMES and self._schedule.has_overdue(now)
+        return self._command_frames >= FRAMES_IN_A_ROW and self._schedule.has_overdue(now)
 
     async def _tell_all(self, exchanger: Exchanger, broadcast: Broadcast) -> None:
         """Send a broadcast; whatever comes of it, every drive is read back by itself."""

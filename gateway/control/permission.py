@@ -56,7 +56,7 @@ class Permission:
         if self.resets.is_under_way:
             raise NotAdmitted(Reason.BUSY, "the drive is being reset")
         if not state.is_online:
-            raise NotAdmitted(Reason.OFFLINE, f"{state.drive.name} is not online")
+            raise NotAdmitted(Reason.OFFLINE, state.away)
         if plan.is_motion and state.standing is not Standing.ARMED:
             raise NotAdmitted(Reason.NOT_ARMED, f"disarmed: {state.reason}")
         if plan.is_motion and state.unwatched and not state.settings.is_unwatched:
@@ -100,7 +100,7 @@ class Permission:
         if state.standing in (Standing.LOST, Standing.QUIET):
             raise NotAdmitted(Reason.QUIESCED, f"the drive is {state.standing.value}: {state.reason}")
         if not state.is_online or self.resets.is_under_way:
-            raise NotAdmitted(Reason.OFFLINE, f"{state.drive.name} is not online")
+            raise NotAdmitted(Reason.OFFLINE, state.away)
         if state.is_tripped:
             raise NotAdmitted(Reason.NOT_ARMED, "the drive is tripped: reset it first")
         if state.queue.is_setting_up:

@@ -37,6 +37,7 @@ class Presence:
         if state.is_online:
             return
         state.is_online, state.is_heard, state.needs_set_up, state.is_marked = True, True, False, False
+        state.away_because = ""
         state.facts = dict(facts)
         if signs:
             self.on_trip(is_tripped=any(signs.values()))
@@ -55,6 +56,7 @@ class Presence:
         state = self.state
         is_stop_pending = state.queue.has_stop or state.standing is Standing.LOST
         was_online, state.is_online, state.is_heard = state.is_online, False, False
+        state.away_because = reason
         state.is_tripped = None
         state.carrying.form = None
         state.queue.clear(Reason.OFFLINE, reason)

@@ -16,6 +16,7 @@ from gateway.control.composing import COMMAND, FREQUENCY, HELD_FREQUENCY
 from gateway.control.execution import Execution, Phase
 from gateway.control.state import DriveState, Errand, Standing
 from gateway.control.writes import BadCommand, plan_write
+from gateway.drives.model import Model
 from gateway.drives.register import Register
 from gateway.errors import Refusal
 
@@ -26,6 +27,13 @@ MARK_AGAIN = 0.2  # seconds to the next look where the drive could not tell just
 MARK_FRESH = 0.25  # seconds for which a look at it is believed before a run command
 RESET = "the drive was reset"
 CLEARED = "the drive is no longer tripped: it was reset"
+
+
+def worth_a_look(model: Model, *, is_marked: bool) -> list[Register]:
+    """Return what is read again before a drive is armed: it may have been reset, and set, while nobody looked."""
+    marks = [MARK] if is_marked else []
+    names = [name for name in (*marks, COMMAND, FREQUENCY, "trip_code") if name in model.registers]
+    return [*(model.registers[name] for name in names), *watchdog.registers(model).values()]
 
 
 @dataclass(slots=True)
@@ -108,16 +116,8 @@ class Resets:
         except BadCommand:  # a catalogue in which it is none to be set
             return None
         if not any(execution.command.verb is Verb.ARM for execution in state.queue.executions):
-            self._to_observe = self._worth_a_look
+            self._to_observe = worth_a_look(state.drive.model, is_marked=state.is_marked)
         return Execution(command, (write,), marked)
-
-    @property
-    def _worth_a_look(self) -> list[Register]:
-        """Return what is read again before a drive is armed: it may have been reset, and set, while nobody looked."""
-        state, model = self.state, self.state.drive.model
-        names = [MARK] if state.is_marked else []
-        names += [name for name in (COMMAND, FREQUENCY, "trip_code") if name in model.registers]
-        return [*(model.registers[name] for name in names), *watchdog.registers(model).values()]
 
     @property
     def _is_watched(self) -> bool:

@@ -172,6 +172,7 @@ class DriveState:
     standing: Standing = Standing.DISARMED
     reason: str = "the gateway has started"
     is_online: bool = False
+    away_because: str = ""  # why it is not online; "" while that is not known
     is_heard: bool = False
     is_tripped: bool | None = None
     is_ending: bool = False
@@ -193,6 +194,12 @@ class DriveState:
         if source == GATEWAY or not self.settings.is_leased:
             return True
         return self.lease.is_held(now) and self.lease.owner == source
+
+    @property
+    def away(self) -> str:
+        """Say that it is not online, and why: silent, or another drive, which only its link knows."""
+        because = f": {self.away_because}" if self.away_because else ""
+        return f"{self.drive.name} is not online{because}"
 
     @property
     def timeout(self) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -75,6 +76,28 @@ def test_a_trip_is_known_at_the_next_exchange(protocol: str) -> None:
         assert stage.value("d1", "trip_code") == "0"
 
     run(lambda: one(protocol, polls), play)
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_the_trip_of_a_drive_that_comes_is_told_once(protocol: str, caplog: pytest.LogCaptureFixture) -> None:
+    """TOSHIBA says so in every answer, also while the drive is set up: one warning, and nothing that flutters."""
+    told: list[bool | None] = []
+
+    def made() -> Bench:
+        stage = one(protocol)
+        stage.drive.inverter.trip(TripCode.COMMUNICATION)
+        stage.image.subscribe(lambda image, _: told.append(image.is_tripped))
+        return stage
+
+    async def play(stage: Bench) -> None:
+        await asyncio.sleep(3.0)
+        assert stage.image.by_name["d1"].is_tripped is True
+
+    with caplog.at_level("WARNING", "gateway.bus"):
+        run(made, play)
+    assert [record.message for record in caplog.records].count("d1 is tripped") == 1
+    changes = [now for before, now in pairwise([None, *told]) if now is not before]
+    assert changes == [True, None]  # when it is online, and when the gateway ends
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)

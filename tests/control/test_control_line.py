@@ -457,3 +457,17 @@ def test_the_command_with_the_earliest_deadline_goes_first() -> None:
             await asyncio.gather(task, return_exceptions=True)
 
     virtual.run(main())
+
+
+@pytest.mark.hazard("H07")
+def test_a_command_to_another_drive_says_who_answers() -> None:
+    """Neither armed nor moved, and the reason is not that nobody is there."""
+
+    async def script(stage: Stage) -> None:
+        await stage.ask(Verb.TAKE)
+        for verb in (Verb.ARM, Verb.FREQUENCY):
+            result = await stage.ask(verb, value="30" if verb is Verb.FREQUENCY else None)
+            assert (result.status, result.reason) == (Status.REFUSED, Reason.OFFLINE)
+            assert result.text.startswith("d1 is not online: identity mismatch: vf-nc3 is configured, 'VFMB1")
+
+    play(script, model="vf-mb1", configured="vf-nc3")
