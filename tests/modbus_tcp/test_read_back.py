@@ -130,6 +130,15 @@ def test_a_trip_ends_it() -> None:
     assert found.read(COMMAND, 1, made.clock.now()) is Missing.NOT_FRESH
 
 
+def test_an_answer_without_any_value_ends_nothing() -> None:
+    """As those by which the gateway looks after a drive that is armed: registers that nobody polls."""
+    made, found = unit()
+    made.image.by_name["d1"].set_link(LinkState.ONLINE)
+    learn(made, {"command": 0xC400})
+    made.image.by_name["d1"].apply([(0xFA87, 1)], made.clock.now(), 0.0)
+    assert found.read(COMMAND, 1, made.clock.now()) == words(0xC400)
+
+
 def test_polled_and_commanded_registers_are_read_together() -> None:
     """Where they stand side by side; one that is stale refuses all."""
     made = Listening({"poll": [{"values": ["frequency_command"], "every": "1s", "max_age": "2s"}]})
