@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
+
+
+def milliseconds(wall: float) -> int:
+    """Return a time in whole milliseconds of UTC, cut off from exact microseconds: as times are spelt in payloads.
+
+    What comes twice, live and as history, has the same time then.
+    """
+    part, whole = math.modf(wall)
+    return int(whole) * 1000 + round(part * 1_000_000) // 1000
 
 
 class Kind(Enum):

@@ -154,9 +154,10 @@ class Bridge(Uplink):
 
     def _tell_events(self, events: Sequence[Event]) -> None:
         for event in events:
-            self._tell_event(event.drive, outcome.event(event.kind, event.reason, self._clock.wall(), event.more))
+            wall = self._clock.wall()
+            self._tell_event(event.drive, outcome.event(event.kind, event.reason, wall, event.more), wall)
 
-    def _tell_event(self, drive: str, text: str) -> None:
+    def _tell_event(self, drive: str, text: str, wall: float) -> None:
         """Publish what happened to a drive; where that cannot be now it is kept for later, or counted."""
         topic = f"{self._section.base}/{self._gateway}/{drive}/{outcome.EVENT}"
         connection, keeps = self._connection, self._missed is not None
@@ -167,9 +168,9 @@ class Bridge(Uplink):
             self._stats.untold += not was_told
         elif connection is not None and was_told:
             mark, is_there = self._mark(connection, was_sent=True), connection.outgoing.last_event
-            self._missed.note_event(drive, text, mark, is_there)
+            self._missed.note_event(drive, text, wall, mark, is_there)
         else:
-            self._missed.note_event(drive, text, None)
+            self._missed.note_event(drive, text, wall, None)
 
     # ---- what the broker has missed
 

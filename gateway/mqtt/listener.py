@@ -38,7 +38,8 @@ class Wire(Protocol):
 class Listener:
     """What controllers send to one gateway by one broker.
 
-    `tell` publishes an event of a drive, as text, and keeps it where that cannot be now; by default none is kept.
+    `tell` publishes an event of a drive, as text and with its time in UTC seconds, and keeps it where that cannot be
+    now; by default none is kept.
     """
 
     def __init__(
@@ -48,7 +49,7 @@ class Listener:
         door: Door,
         stats: MqttStats,
         clock: Clock,
-        tell: Callable[[str, str], None] | None = None,
+        tell: Callable[[str, str, float], None] | None = None,
     ) -> None:
         self._tell = tell
         self._root = f"{section.base}/{gateway}/"
@@ -134,9 +135,10 @@ class Listener:
         self._say(f"{result.command.drive}/{outcome.RESULT}", outcome.result(result, self._clock.wall()))
 
     def _on_event(self, drive: str, event: str, reason: str) -> None:
-        text = outcome.event(event, reason, self._clock.wall())
+        wall = self._clock.wall()
+        text = outcome.event(event, reason, wall)
         if self._tell is not None:
-            self._tell(drive, text)
+            self._tell(drive, text, wall)
         else:
             self._say(f"{drive}/{outcome.EVENT}", text, is_event=True)
 

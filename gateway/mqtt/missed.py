@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Generic, Protocol, TypeVar
 
-from gateway.backlog import Backlog, HistoricalReading, Kept, Kind, Loss
+from gateway.backlog import Backlog, HistoricalReading, Kept, Kind, Loss, milliseconds
 from gateway.clock import Clock
 from gateway.image import DriveImage, Image
 from gateway.mqtt.filters import Policy
@@ -83,9 +83,11 @@ class Missed(Generic[P]):
         if taken is not None:
             self._note(taken, mark)
 
-    def note_event(self, drive: str, text: str, mark: int | None, is_there: Callable[[], bool] | None = None) -> None:
-        """Take what happened to a drive, as JSON."""
-        self._note(HistoricalReading(drive, Kind.EVENT, round(self._clock.wall() * 1000), text), mark, is_there)
+    def note_event(
+        self, drive: str, text: str, wall: float, mark: int | None, is_there: Callable[[], bool] | None = None
+    ) -> None:
+        """Take what happened to a drive, as JSON, and when that was in UTC seconds."""
+        self._note(HistoricalReading(drive, Kind.EVENT, milliseconds(wall), text), mark, is_there)
 
     def _note(
         self, what: Taken | HistoricalReading, mark: int | None, is_there: Callable[[], bool] | None = None

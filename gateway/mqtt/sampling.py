@@ -9,7 +9,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from gateway.backlog import HistoricalReading, Kind
+from gateway.backlog import HistoricalReading, Kind, milliseconds
 from gateway.image import DriveImage, Quality
 from gateway.mqtt import payload
 from gateway.mqtt.filters import Policy
@@ -71,7 +71,7 @@ class Sampler:
             if said.is_due(word, Quality.GOOD, now):
                 said.note(word, Quality.GOOD, now)
                 found.append((name, word, Quality.GOOD))
-        return Taken(image, round((image.newest_wall or wall) * 1000), found) if found else None
+        return Taken(image, milliseconds(image.newest_wall or wall), found) if found else None
 
     def _take(self, names: Sequence[str], now: float, wall: float) -> Taken | None:
         """Take values of which each may be of another quality and age."""
@@ -85,7 +85,7 @@ class Sampler:
             found.append((name, word, quality))
             if quality is Quality.GOOD:
                 newest = max(newest, read_at)
-        return Taken(self._image, round((newest or wall) * 1000), found) if found else None
+        return Taken(self._image, milliseconds(newest or wall), found) if found else None
 
     def release(self, now: float, wall: float) -> Taken | None:
         """Take what had to wait for its turn, when that has come."""

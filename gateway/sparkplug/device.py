@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from gateway.backlog import milliseconds
 from gateway.control.drive_control import DriveControl
 from gateway.drives.model import Model
 from gateway.image import DriveImage, Quality
@@ -205,7 +206,7 @@ class Device:
             return self._value(shown, moment, is_birth=False)
         if image.quality_of(place, moment.now) is not Quality.GOOD:
             return self._value(shown, moment, is_birth=False)
-        word, ms = place.numbers[place.offset], round(image.wall_of(place) * 1000)
+        word, ms = place.numbers[place.offset], milliseconds(image.wall_of(place))
         self._report.values[shown.name].note(word, Quality.GOOD, moment.now)
         told = [shown.teller.told(shown.number(word), ms)]
         if shown.text_teller is not None:
@@ -217,7 +218,7 @@ class Device:
         name = shown.name
         word, quality, _, wall = self._image.sample(name, moment.now)
         is_good = quality is Quality.GOOD
-        ms = round(wall * 1000) if is_good else moment.ms
+        ms = milliseconds(wall) if is_good else moment.ms
         tells_quality = is_birth or not is_good or self._qualities.get(name) is not quality
         code = quality if tells_quality else None
         self._report.values[name].note(word, quality, moment.now)

@@ -153,13 +153,28 @@ class EdgeNode(Uplink):
         self._wake()
 
     def _on_event(self, drive: str, event: str, reason: str) -> None:
+        """Tell what happened to a drive; it is kept until hosts are known to have it."""
         wall = self._clock.wall()
-        is_lost = not self.node.note_event(drive, event, reason, wall)
-        if is_lost and self._missed is not None:
-            self._missed.note_event(drive, outcome.event(event, reason, wall), None)
-        else:
-            self._stats.untold += is_lost
+        can_be_told = self.node.note_event(drive, event, reason, wall)
+        if self._missed is None:
+            self._stats.untold += not can_be_told
+        elif self.node.tells_events(drive):
+            mark = self._tell(drive) if can_be_told else None
+            self._missed.note_event(drive, outcome.event(event, reason, wall), wall, mark)
         self._wake()
+
+    def _tell(self, drive: str) -> int | None:
+        """Send what a drive owes; return by which message all of it is known to be there, None: not all was sent."""
+        connection = self._connection
+        if connection is None:
+            return None
+        try:
+            self.node.settle_drive(connection.outgoing, drive, Moment(self._clock.now(), self._ms()))
+            connection.flush_soon()
+        except Exception as error:
+            connection.fail(error)
+            return None
+        return self._mark(connection, was_sent=self.node.is_told(drive))
 
     # ---- what the broker has missed
 

@@ -7,6 +7,7 @@ from itertools import count
 from typing import Protocol
 
 from gateway import __version__
+from gateway.backlog import milliseconds
 from gateway.config import SparkplugSection
 from gateway.control.command import Channel, Result, Source
 from gateway.control.drive_control import DriveControl
@@ -25,6 +26,7 @@ from gateway.sparkplug.topics import Topics
 BD_SEQ, REBIRTH = "bdSeq", "Node Control/Rebirth"  # the two metrics of the node that the specification names
 CONNECTED = "Drives Connected"
 ANY_HOST = Source(Channel.SPARKPLUG)
+TELLING = (Phase.DEVICE_BIRTHS, Phase.LIVE)  # when hosts may know drives: those that were born
 BETWEEN_BIRTHS = 1.0  # seconds, so that no flood of requests for a rebirth becomes one of births
 
 
@@ -101,13 +103,16 @@ class Node:
         return encode(Payload(ms, (Metric(BD_SEQ, None, ms, DataType.INT64, bd_seq),)))
 
     def take(self, happening: Happening) -> None:
-        """Take what happens to the session."""
+        """Take what happens to the session; where it ends, or begins anew, hosts know of no drive any more."""
         self._count()
         self.session.take(happening)
+        if self.session.phase not in TELLING:
+            for device in self.devices.values():
+                device.begin()
 
     def rebirth(self) -> None:
         """Send no data any more, and every birth anew."""
-        self.session.take(Happening.REBIRTH)
+        self.take(Happening.REBIRTH)
 
     def note_change(self, image: DriveImage, names: Sequence[str], now: float) -> None:
         """Take what is news of a drive."""
@@ -126,12 +131,16 @@ class Node:
         """Take what happened to a drive, to be told by it; False where it cannot be told now."""
         return self._note(drive, EVENT, outcome.event(event, reason, wall), wall)
 
+    def tells_events(self, drive: str) -> bool:
+        """Say whether hosts are told what happens to a drive: who may be commanded has a metric for it."""
+        return drive in self.devices and EVENT in self.devices[drive].metrics.told
+
     def _note(self, drive: str, name: str, text: str, wall: float) -> bool:
         device = self.devices.get(drive)
         if device is None:
             return True
         self._debtors[drive] = device
-        return device.note(name, text, round(wall * 1000))
+        return device.note(name, text, milliseconds(wall))
 
     def look(self) -> None:
         """Look at every drive, since who may command it changes without a word."""
@@ -202,8 +211,6 @@ class Node:
             *(definition.born("", ms) for definition in self._inputs),
             *(definition.born(self._told[name], ms) for name, definition in self._standing.items()),
         ]
-        for device in self.devices.values():
-            device.begin()
         self._birth_at = moment.now + BETWEEN_BIRTHS
         if self._send(wire, self.topics.of_node("NBIRTH"), metrics, moment):
             self.session.take(Happening.NODE_BORN)

@@ -9,13 +9,14 @@ from decimal import Decimal
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
-from gateway.backlog import BacklogStats, HistoricalReading, Kept, Kind
+from gateway.backlog import BacklogStats, HistoricalReading, Kept, Kind, milliseconds
 from gateway.control.command import Channel, Command, Result, Source, Status, Verb
 from gateway.image import DriveImage, Image, LinkState
 from gateway.metrics import MqttStats
+from gateway.mqtt import payload
 from gateway.mqtt.bridge import Bridge
 from gateway.mqtt.filters import policies
 from gateway.mqtt.forwarding import Forwarder, Parcel
@@ -30,6 +31,14 @@ from tests.mqtt.doors import LEASED, KeptDoor, small_site
 from tests.mqtt.rig import GATEWAY, SkippingClock, section
 
 ROOT = "tosvert/hall-3/pump-1/history"
+
+
+@given(st.floats(1.7e9, 2.0e9))
+@example(1_772_366_400.0005)
+@example(1_772_366_400.9999999)
+def test_history_has_the_time_that_was_told_live(wall: float) -> None:
+    """To the millisecond: receivers tell by topic and time what comes a second time."""
+    assert payload.timestamp(milliseconds(wall) / 1000) == payload.timestamp(wall)
 
 
 class Store:

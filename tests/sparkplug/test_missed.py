@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,11 @@ from typing import Any
 import pytest
 
 from gateway.backlog import BacklogStats, HistoricalReading, Kept, Kind
-from gateway.image import LinkState, Quality
+from gateway.image import Image, LinkState, Quality
 from gateway.metrics import MqttStats
 from gateway.sparkplug.definition import CODES, OF_QUALITY
 from gateway.sparkplug.device import Device
+from gateway.sparkplug.drive_metrics import EVENT
 from gateway.sparkplug.history import unpack
 from gateway.sparkplug.node import Node
 from gateway.sparkplug.payload import Metric
@@ -21,6 +23,7 @@ from gateway.store.backlog import FiledBacklog
 from gateway.store.backlog_schema import Limits
 from tests.mosquitto import Mosquitto
 from tests.mqtt import drives
+from tests.mqtt.doors import LEASED, KeptDoor, small_site
 from tests.mqtt.rig import Cable
 from tests.sparkplug.edge_rig import Host, Running
 from tests.sparkplug.foreign import Decoder
@@ -115,6 +118,49 @@ def _historical_to_others(host: Host) -> int:
             counts = [count + sum(each) for count, each in zip(counts, theirs, strict=True)]
     assert counts[0] == counts[1]
     return counts[0]
+
+
+class Watched(Keeping):
+    """An edge node with a backlog, and drives that can be commanded."""
+
+    def __init__(self, port: int, folder: Path) -> None:
+        self.backlog = FiledBacklog(folder / "backlog.sqlite", LIMITS, BacklogStats(), QUICK)
+        self.backlog.start()
+        image = Image(small_site().drives)
+        for each in image.drives:
+            each.set_link(LinkState.ONLINE)
+        Running.__init__(self, port, image, KeptDoor.small)
+
+
+def events(host: Host) -> list[tuple[str, bool | None]]:
+    """Return the reasons of all events of the leased drive, and whether they came as history."""
+    births = [sent for sent in host.sent if (sent.kind, sent.device) == ("DBIRTH", LEASED)]
+    aliases = [metric.alias for sent in births for metric in sent.payload.metrics if metric.name == EVENT]
+    data = [sent for sent in host.sent if (sent.kind, sent.device) == ("DDATA", LEASED)]
+    found = [metric for sent in data for metric in sent.payload.metrics if metric.alias in aliases]
+    return [(json.loads(str(metric.value))["reason"], metric.is_historical) for metric in found]
+
+
+@pytest.mark.e2e
+async def test_what_happens_to_a_drive_is_kept_until_hosts_have_it(tmp_path: Path) -> None:
+    """Live once; what is swallowed with the connection, and what happens without one, comes as history."""
+    with Mosquitto() as broker:
+        async with Cable(broker.port) as cable, Host(broker.port) as host:
+            edge = Watched(cable.port, tmp_path)
+            await edge.until(lambda: edge.edge.node.is_live)
+            edge.door._tell(LEASED, "armed", "live")
+            await host.until(lambda: events(host) == [("live", False)])
+            await edge.until(lambda: edge.edge._missed is not None and not edge.edge._missed.is_unsure)
+            cable.cut()
+            edge.door._tell(LEASED, "disarmed", "swallowed")
+            await edge.until(lambda: not edge.stats.is_connected)
+            edge.door._tell(LEASED, "armed", "alone")
+            await cable.plug()
+            await host.until(lambda: len(events(host)) >= 3)
+            await edge.until(lambda: edge.backlog.stats.waiting == 0)
+            await edge.stop()
+            await edge.backlog.close()
+            assert events(host) == [("live", False), ("swallowed", True), ("alone", True)]
 
 
 BODY = (

@@ -408,6 +408,19 @@ def test_results_and_events_are_told_each_by_each_in_order() -> None:
     assert json.loads(str(born["Control/Event"]))["event"] == "armed"
 
 
+@pytest.mark.parametrize("happening", [Happening.LOST, Happening.HOST_OFFLINE, Happening.REBIRTH])
+def test_an_event_without_a_session_cannot_be_told(happening: Happening) -> None:
+    """Whoever tells of it keeps it, though hosts knew the drive before: they hear no more of this session."""
+    plant, _ = controlled()
+    plant.live()
+    assert plant.node.note_event(LEASED, "armed", "", 1000.0)
+    plant.settle()
+    plant.node.take(happening)
+    assert not plant.node.note_event(LEASED, "disarmed", "", 1001.0)
+    assert plant.node.tells_events(LEASED)
+    assert not plant.node.tells_events(READ_ONLY)
+
+
 @pytest.mark.hazard("H24")
 def test_results_that_nobody_takes_are_bounded_and_counted() -> None:
     """The broker does not read: the first are kept, the rest is counted."""
