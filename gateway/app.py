@@ -10,6 +10,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 from gateway import __version__, systemd
+from gateway.broker_certificates import Watches
 from gateway.bus.line import Opener
 from gateway.bus.serial_line import open_line
 from gateway.bus.worker import LineWorker
@@ -105,6 +106,7 @@ class App:
         self.web = (
             WebServer(config.web, self.image, self.stats, site, self.clock, self.door.ledger) if config.web else None
         )
+        self._certificates = Watches(config, self.stats, self.clock)
         self._stop = asyncio.Event()
 
     def _bridge(self, section: MqttSection) -> Bridge:
@@ -258,6 +260,7 @@ class App:
             now = self.clock.now()
             self.door.pulse()
             self.image.sweep(now)
+            self._certificates.pulse()
             if now >= next_rates:
                 before = self._count_rates(before, now - next_rates + RATES_EVERY)
                 next_rates = now + RATES_EVERY

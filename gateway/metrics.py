@@ -158,6 +158,7 @@ class MqttStats:
 
     `ignored` counts messages that mean nothing, `refused`, by reason, commands that did not come to the door, and
     `untold` results and events that could not be told. `missed` counts what is kept while the broker is away.
+    `certificates` are UTC seconds at which a certificate of this connection expires, by what it is.
     """
 
     is_connected: bool = False
@@ -171,6 +172,7 @@ class MqttStats:
     untold: int = 0
     waiting: int = 0
     missed: BacklogStats = field(default_factory=BacklogStats)
+    certificates: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(slots=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gateway import check, check_rights
+from gateway import broker_certificates, check, check_rights
 from gateway.clock import SystemClock
 from gateway.config import MqttSection
 from gateway.image import Image
@@ -25,6 +25,7 @@ def lines(configured: Site) -> Iterator[str]:
         yield "\nSparkplug topics"
         yield from (f"  {topic}" for topic in sparkplug_topics.overview(edge, configured))
         yield f"  {backlog.summary(configured, edge)}"
+        yield from (f"  {line}" for line in broker_certificates.report(edge, SystemClock().wall()))
     if configured.config.modbus_tcp is not None:
         yield ""
         yield from check_rights.report(configured)
@@ -39,6 +40,7 @@ def _broker(configured: Site, section: MqttSection) -> Iterator[str]:
     yield f"\nMQTT topics{f' of {section.label}{way}' if section.name else way}"
     yield from (f"  {topic}" for topic in topics.overview(section, configured))
     yield f"  {backlog.summary(configured, section)}"
+    yield from (f"  {line}" for line in broker_certificates.report(section, SystemClock().wall()))
     if section.home_assistant.enabled:
         found = Discovery(section, configured.config.gateway.name, Image(configured.drives))
         yield from (f"  {topic}" for topic in found.topics())

@@ -52,6 +52,7 @@ class TlsSection(Section):
     ca: str | None = Field(None, description="file of trusted certificates; the system's by default")
     certificate: str | None = Field(None, description="client certificate (PEM)")
     key: str | None = Field(None, description="its private key (PEM)")
+    warn_days: int = Field(30, ge=1, le=365, description="it is warned so long before one of them expires")
 
     @model_validator(mode="after")
     def _both(self) -> TlsSection:

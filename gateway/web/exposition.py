@@ -23,7 +23,7 @@ from gateway.control.state import Standing
 from gateway.image import DriveImage, Image, LinkState, Quality
 from gateway.metrics import LATEST, DriveStats, Histogram, LineStats, MqttStats, Stats, TcpStats
 from gateway.site import Site
-from gateway.web import backlogs
+from gateway.web import backlogs, certificates
 from gateway.web.page import age
 
 Labels = tuple[str, ...]
@@ -147,10 +147,14 @@ def families(site: Site, image: Image, stats: Stats, now: float, ledger: Ledger 
         for number in OF_MQTT:
             yield number.family(labels, each)
         yield from backlogs.families("tosvert_mqtt", labels, [(of, mqtt.missed) for of, mqtt in each])
+        held = [(of, mqtt.certificates) for of, mqtt in each]
+        yield certificates.family("tosvert_mqtt", "the connection to a broker", labels, held)
     if site.config.sparkplug is not None:
         for number in OF_SPARKPLUG:
             yield number.family((), [((), stats.sparkplug)])
         yield from backlogs.families("tosvert_sparkplug", (), [((), stats.sparkplug.missed)])
+        held = [((), stats.sparkplug.certificates)]
+        yield certificates.family("tosvert_sparkplug", "the connection to Sparkplug's broker", (), held)
     if site.config.modbus_tcp is not None:
         yield from _of_modbus_tcp(stats.tcp)
 
@@ -296,11 +300,8 @@ def _of_modbus_tcp(stats: TcpStats) -> Iterator[Metric]:
     handshakes = CounterMetricFamily("tosvert_modbus_tcp_handshakes_total", text, labels=("end",))
     for end, count in sorted(stats.handshakes.items()):
         handshakes.add_metric((end,), count)
-    text = "When a certificate of the MODBUS-TCP server expires, in UTC seconds; of authorities the first one."
-    expiries = GaugeMetricFamily("tosvert_modbus_tcp_certificate_expires_seconds", text, labels=("certificate",))
-    for what, expires in sorted(stats.certificates.items()):
-        expiries.add_metric((what,), expires)
-    yield from (handshakes, expiries)
+    yield handshakes
+    yield certificates.family("tosvert_modbus_tcp", "the MODBUS-TCP server", (), [((), stats.certificates)])
 
 
 def _by_code(name: str, text: str, label: str, counts: Counter[int]) -> Metric:

@@ -13,6 +13,7 @@ from gateway.control.ledger import Ledger
 from gateway.image import DriveImage, Image, LinkState, Quality
 from gateway.metrics import LineStats, Stats
 from gateway.site import Site
+from gateway.web import certificates
 
 NAMED_VALUES = 5  # a reason names so many values and counts the rest
 
@@ -143,6 +144,8 @@ def as_document(
         document["mqtt"] = _brokers(site, stats)
     if site.config.sparkplug is not None:
         document["sparkplug"] = {"connected": stats.sparkplug.is_connected}
+    if expiries := certificates.document(stats):
+        document["certificates"] = expiries
     if ledger is not None:
         document["store"] = {"problem": ledger.problem, "audit_dropped": ledger.dropped}
     return document

@@ -92,7 +92,8 @@ def busy() -> Rig:
     tcp.connections, tcp.accepted, tcp.turned_away = 5, 9, 1
     tcp.not_allowed, tcp.denied = 2, 3
     tcp.handshakes["expired"] = 4
-    tcp.certificates["ca"] = 2_000_000_000
+    for certificates in (tcp.certificates, mqtt.certificates, rig.stats.sparkplug.certificates):
+        certificates["ca"] = 2_000_000_000
     tcp.requests.update({3: 700, 4: 20, 43: 1})
     tcp.exceptions.update({2: 6, 11: 8})
     return rig
