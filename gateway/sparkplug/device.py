@@ -177,13 +177,17 @@ class Device:
         changed: list[Metric | Written] = [
             metrics.standing[name].told(self._standing[name], moment.ms) for name in self._look(moment.ms)
         ]
-        while self._told:
-            name, text, ms = self._told.popleft()
-            changed.append(metrics.told[name].told(text, ms))
+        changed += self.told()
         for name in list(self._owed)[:MOST_VALUES]:
             del self._owed[name]
             changed += self._told_value(self._shown[name], moment)
         return in_order(changed)
+
+    def told(self) -> tuple[Metric, ...]:
+        """Return results and events that were not told yet, in their order."""
+        found = tuple(self.metrics.told[name].told(text, ms) for name, text, ms in self._told)
+        self._told.clear()
+        return found
 
     def death(self) -> None:
         """Take that hosts are told of the drive's death: all of its metrics are stale with them then."""

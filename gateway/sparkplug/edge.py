@@ -164,17 +164,17 @@ class EdgeNode(Uplink):
         self._wake()
 
     def _tell(self, drive: str) -> int | None:
-        """Send what a drive owes; return by which message all of it is known to be there, None: not all was sent."""
+        """Send what happened to a drive; return by which message it is known to be there, None: it was not sent."""
         connection = self._connection
         if connection is None:
             return None
         try:
-            self.node.settle_drive(connection.outgoing, drive, Moment(self._clock.now(), self._ms()))
+            was_sent = self.node.send_told(connection.outgoing, drive, Moment(self._clock.now(), self._ms()))
             connection.flush_soon()
         except Exception as error:
             connection.fail(error)
             return None
-        return self._mark(connection, was_sent=self.node.is_told(drive))
+        return self._mark(connection, was_sent=was_sent)
 
     # ---- what the broker has missed
 

@@ -182,6 +182,16 @@ class Node:
         if self.session.phase is Phase.LIVE and wire.room:
             self._settle_device(wire, self.devices[name], moment)
 
+    def send_told(self, wire: Wire, name: str, moment: Moment) -> bool:
+        """Send what became of a drive's commands and what happened to it, and nothing else; say whether that went.
+
+        How the drive stands goes later: whoever tells of an event may be about to change it.
+        """
+        device = self.devices[name]
+        if self.session.phase is not Phase.LIVE or not wire.room or not device.is_born or device.owes_death:
+            return False
+        return self._send(wire, self.topics.of_device("DDATA", name), device.told(), moment)
+
     def send_missed(self, wire: Wire, missed: Missed, moment: Moment) -> bool:
         """Send what hosts have missed of a drive; False where it is larger than the broker takes."""
         return self._send(wire, self.topics.of_device("DDATA", missed.drive), missed.metrics, moment)

@@ -421,6 +421,23 @@ def test_an_event_without_a_session_cannot_be_told(happening: Happening) -> None
     assert not plant.node.tells_events(READ_ONLY)
 
 
+def test_an_event_is_sent_by_itself_at_once() -> None:
+    """How the drive stands comes behind it: who tells of an event is about to change that, too."""
+    plant, _ = controlled()
+    plant.live()
+    plant.node.note_event(LEASED, "taken", "", 1000.0)
+    assert plant.node.send_told(plant.back, LEASED, plant.moment)
+    data = plant.back.sent[-1]
+    assert [m.alias for m in data.payload.metrics] == [plant.node.devices[LEASED].metrics.told["Control/Event"].alias]
+    assert data.payload.seq == (plant.back.sent[-2].payload.seq or 0) + 1
+    assert plant.settle() == []
+    plant.node.note_event(LEASED, "released", "", 1001.0)
+    plant.back.room = 0
+    assert not plant.node.send_told(plant.back, LEASED, plant.moment)
+    plant.back.room = 10
+    assert len(plant.settle()) == 1, "it is told as soon as there is room"
+
+
 @pytest.mark.hazard("H24")
 def test_results_that_nobody_takes_are_bounded_and_counted() -> None:
     """The broker does not read: the first are kept, the rest is counted."""
