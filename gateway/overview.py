@@ -39,6 +39,7 @@ def _broker(configured: Site, section: MqttSection) -> Iterator[str]:
     way = "" if section.commands else ": nothing is taken from it"
     yield f"\nMQTT topics{f' of {section.label}{way}' if section.name else way}"
     yield from (f"  {topic}" for topic in topics.overview(section, configured))
+    yield from (f"  taken: {topic}" for topic in topics.taken(section, configured))
     yield f"  {backlog.summary(configured, section)}"
     yield from (f"  {line}" for line in broker_certificates.report(section, SystemClock().wall()))
     if section.home_assistant.enabled:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from gateway.config import MqttSection
 from gateway.image import DriveImage
+from gateway.mqtt.commands import COMMAND, HEARTBEAT, LINE, SET
 from gateway.site import Site
 
 AVAILABILITY = "availability"
@@ -20,7 +21,7 @@ HISTORY = "history"  # the level below a drive under which stands what a broker 
 
 # Levels below a drive that are no values: what is published besides, and what is taken for control and description.
 PUBLISHED = frozenset({AVAILABILITY, STATE, TRIPPED, RESET_NEEDED, CONTROL, DESCRIPTION, EVENT})
-RESERVED = PUBLISHED | {"set", "command", "heartbeat", RESULT, HISTORY}
+RESERVED = PUBLISHED | {SET, COMMAND, HEARTBEAT, RESULT, HISTORY}
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,12 +89,26 @@ def overview(section: MqttSection, site: Site) -> list[str]:
         topics = of_drive(section.base, gateway, DriveImage(drive))
         listed += [topics.availability, topics.tripped, topics.reset_needed, topics.control]
         listed += [topics.description, topics.event]
+        if drive.is_controlled:
+            listed.append(f"{topics.event.removesuffix(EVENT)}{RESULT}")
         if "state" in section.publish:
             listed.append(topics.state)
         if "values" in section.publish:
             listed += _of_values(topics)
         if section.store.enabled:
             listed.append(f"{topics.state.removesuffix(STATE)}{HISTORY}/#")
+    return listed
+
+
+def taken(section: MqttSection, site: Site) -> list[str]:
+    """List every topic at which drives of a site can be commanded by this broker; `+` stands for a value's name."""
+    root = f"{section.base}/{site.config.gateway.name}"
+    listed = []
+    for line in site.lines if section.commands else ():
+        drives = [drive for drive in line.drives if drive.is_commanded_by("mqtt")]
+        for drive in drives:
+            listed += [f"{root}/{drive.name}/{level}" for level in (COMMAND, f"{SET}/+", HEARTBEAT)]
+        listed += [f"{root}/{LINE}/{line.name}/{COMMAND}"] if drives else []
     return listed
 
 

@@ -7,6 +7,7 @@ from gateway.image import DriveImage
 from gateway.mqtt import topics
 from gateway.site import Line, Site
 from tests.mqtt import drives
+from tests.mqtt.doors import DIRECT, LEASED, small_site
 
 ROOT = "tosvert/hall-3/pump-1"
 
@@ -77,6 +78,21 @@ def test_the_overview_lists_what_is_published() -> None:
     assert f"{ROOT}/history/#" not in overview(store={"enabled": False})
     assert f"{ROOT}/state" not in overview(publish=["values"])
     assert f"{ROOT}/torque/quality" in overview(publish=["values"])
+
+
+def test_what_is_taken_and_answered_is_listed_where_drives_may_be_commanded() -> None:
+    """Of each drive and of its line; not for a broker from which nothing is taken."""
+    built = small_site()
+    root = "tosvert/hall-3"
+    levels = ("command", "set/+", "heartbeat")
+    wanted = [f"{root}/{drive}/{level}" for drive in (LEASED, DIRECT) for level in levels]
+    plant = MqttSection.model_validate({"url": "mqtt://localhost"})
+    assert topics.taken(plant, built) == [*wanted, f"{root}/line/a/command"]
+    cloud = MqttSection.model_validate({"url": "mqtt://localhost", "commands": False})
+    assert topics.taken(cloud, built) == []
+    for section in (plant, cloud):
+        results = [topic for topic in topics.overview(section, built) if topic.endswith("/result")]
+        assert results == [f"{root}/{LEASED}/result", f"{root}/{DIRECT}/result"]
 
 
 def test_the_base_may_have_several_levels() -> None:
