@@ -34,6 +34,7 @@ REQUEST_SIZE = 4  # bytes: function, MEI type, read code, object
 OBJECTS = {0: "vendor", 1: "device", 2: "version"}  # the basic ones of MODBUS Application Protocol V1.1b3, 6.21
 LONGEST_OBJECT = 64  # bytes; three of them fit an answer
 BASIC_AND_INDIVIDUAL = 0x81  # conformity level: the basic objects, as a stream or one by one
+MAKER = "TOSHIBA"  # as these drives answer by 2BH (E6581657, 5.1.7)
 IDENTITY = {"vendor": "tosvert-gateway", "device": "tosvert-gateway", "version": __version__}
 
 
@@ -147,7 +148,8 @@ def identify(pdu: bytes, identity: Mapping[str, str]) -> bytes | ExceptionCode:
     request.decode(pdu[1:])
     if not DeviceInformation.BASIC <= request.read_code <= DeviceInformation.SPECIFIC:
         return ExceptionCode.ILLEGAL_DATA_VALUE
-    told = {number: identity[key] for number, key in OBJECTS.items() if key in identity}
+    known = _known(identity)
+    told = {number: known[key] for number, key in OBJECTS.items() if key in known}
     if not told:
         return ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND
     is_known = request.object_id in told
@@ -161,3 +163,10 @@ def identify(pdu: bytes, identity: Mapping[str, str]) -> bytes | ExceptionCode:
     answer = ReadDeviceInformationResponse(request.read_code, objects)
     answer.conformity = BASIC_AND_INDIVIDUAL
     return bytes([ReadDeviceInformationResponse.function_code]) + answer.encode()
+
+
+def _known(identity: Mapping[str, str]) -> Mapping[str, str]:
+    """Return what is told: of a drive that has no 2BH, as in the TOSHIBA protocols, its type form and CPU version."""
+    read = {"device": identity.get("type_form", ""), "version": identity.get("cpu_version", "")}
+    found = {key: text for key, text in read.items() if text}
+    return {"vendor": MAKER, **found, **identity} if found else identity

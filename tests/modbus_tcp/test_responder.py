@@ -154,6 +154,14 @@ class TestIdentification:
         told = Rig().ask(255, bytes([0x2B, 0x0E, 4, 2]))
         assert told[9:] == IDENTITY["version"].encode()
 
+    def test_a_drive_without_2bh_tells_its_type_form_and_version(self) -> None:
+        """As in the TOSHIBA protocols: FB05 and FE08 were read; of a drive that told nothing nothing is told."""
+        rig = Rig()
+        rig.image.by_unit[1].identity = {"type_form": "VFnC3-2007P", "cpu_version": "102"}
+        assert rig.ask(1, bytes([0x2B, 0x0E, 1, 0]))[7:] == b"\x00\x07TOSHIBA\x01\x0bVFnC3-2007P\x02\x03102"
+        rig.image.by_unit[1].identity = {"cpu_version": "102"}
+        assert rig.ask(1, bytes([0x2B, 0x0E, 4, 1])) == b"\xab\x02"
+
     def test_long_and_strange_texts_fit_an_answer(self) -> None:
         """Cut to 64 bytes of ASCII each."""
         rig = Rig()
