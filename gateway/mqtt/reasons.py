@@ -17,8 +17,14 @@ REMEDIES = {
     0x96: "raise mqtt.longest_silence or mqtt.deadband, or the broker's limit",
     0x97: "raise the broker's quota",
     0x9A: "the broker must support retained messages: status and availability need them",
-    0x9B: "set mqtt.qos lower",
+    0x9B: "set mqtt.qos lower; a broker has to take QoS 1 at the least: events and history have it",
     0x9F: "raise mqtt.reconnect_after, or the broker's limit",
+}
+
+# What is otherwise with Sparkplug, which has no `qos` of its own to be set.
+OF_SPARKPLUG = {
+    REMEDIES[0x93]: "let the broker take more messages at a time",
+    REMEDIES[0x9B]: "the broker has to take QoS 1: NDEATH, the will, has it",
 }
 
 HUNG_UP = "the other end hung up: is the port of mqtt.url right, with mqtts:// where it speaks TLS and only there?"
@@ -54,6 +60,7 @@ UNEXPLAINED = 'see the broker\'s log; if it knows no MQTT 5, set mqtt.version = 
 def _by_table(remedy: str, table: str) -> str:
     """Return a remedy with its keys as they stand in a table of the configuration: mqtt, or sparkplug."""
     if table != "mqtt":
+        remedy = OF_SPARKPLUG.get(remedy, remedy)
         remedy = remedy.replace("mqtt.base", "its topics").replace("mqtt.longest_silence or ", "")
     return remedy.replace("mqtt.", f"{table}.")
 

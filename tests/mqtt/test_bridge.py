@@ -406,7 +406,7 @@ async def test_nobody_waits_for_a_broker_that_does_not_answer(monkeypatch: pytes
     [
         ("5", None, "closed the connection before it answered; see the broker's log; if it knows no MQTT 5"),
         ("5", "20 02 00 01", 'Unsupported protocol version (reason code 84H); set mqtt.version = "3.1.1"'),
-        ("5", "20 03 00 9b 00", "QoS not supported (reason code 9BH); set mqtt.qos lower"),
+        ("5", "20 03 00 9b 00", "QoS not supported (reason code 9BH); set mqtt.qos lower; a broker has"),
         ("3.1.1", "20 02 00 02", "Client identifier not valid (reason code 85H); set mqtt.client_id"),
         ("3.1.1", "20 02 00 04", "Bad user name or password (reason code 86H); correct mqtt.user and mqtt.password"),
         ("3.1.1", "20 02 00 05", "Not authorized (reason code 87H)"),
