@@ -20,7 +20,6 @@ from gateway.mqtt.filters import policies
 from gateway.mqtt.forwarding import Forwarder
 from gateway.mqtt.history import Historian
 from gateway.mqtt.listener import FORGET, Listener
-from gateway.mqtt.made import BrokerAway
 from gateway.mqtt.message import Message
 from gateway.mqtt.missed import Missed
 from gateway.mqtt.outgoing import Outgoing
@@ -70,13 +69,6 @@ class Bridge(Uplink):
 
     def _introduction(self) -> Introduction:
         return self._introduced
-
-    def _accepted(self, connection: Connection) -> None:
-        """See that no more is under way than the broker takes; paho wants to know that before it connects."""
-        if connection.receive_maximum < self._in_flight:
-            self._in_flight = connection.receive_maximum
-            taken = f"{self._in_flight} messages at a time"
-            raise BrokerAway(f"the broker takes {taken}: connecting again by that rule")
 
     def _begin(self, connection: Connection) -> None:
         self._publisher.owe_everything()

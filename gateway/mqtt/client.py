@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, cast
 
-from paho.mqtt.client import Client
-from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from paho.mqtt import client as paho
+from paho.mqtt.enums import CallbackAPIVersion, LogLevel, MQTTErrorCode, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
@@ -20,13 +20,13 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 from gateway.config import BrokerSection, MqttSection
 from gateway.errors import BadConfig
 from gateway.mqtt import access, payload, reasons, topics
+from gateway.mqtt.in_flight import FIRST_ID, IN_FLIGHT
 from gateway.mqtt.made import BrokerAway, LastError, Made, close
 from gateway.mqtt.ws_socket import WebSocket
 
 CONNECT_LIMIT = 5.0  # seconds, for TCP, for the TLS handshake and for that of a WebSocket each
 LARGEST_PACKET = 64 * 1024  # bytes that the broker may send us in one packet
 RECEIVE_MAXIMUM = 20  # messages of QoS 1 and 2 that may be under way to us
-IN_FLIGHT = 20  # messages of QoS 1 and 2 under way to the broker; Mosquitto takes no more as installed
 LEFT_WITH_WILL = ReasonCode(PacketTypes.DISCONNECT, "Disconnect with will message")
 SEND_BUFFER = 256 * 1024  # bytes; what the kernel holds for a broker that does not read, no queue can bound
 RECEIVE_BUFFER = 64 * 1024  # bytes; of a flood no more is to be ahead of a stop, and no packet to grow unseen
@@ -53,17 +53,17 @@ def introduction(section: MqttSection, gateway: str) -> Introduction:
     return Introduction(client_id, topics.status(section.base, gateway), payload.OFFLINE, section.qos, retain=True)
 
 
-async def connect(section: BrokerSection, introduced: Introduction, in_flight: int) -> Made:
+async def connect(section: BrokerSection, introduced: Introduction) -> Made:
     """Connect in a thread, since paho blocks meanwhile; BrokerAway says why not."""
-    return await _in_thread(lambda: _connect(section, introduced, in_flight))
+    return await _in_thread(lambda: _connect(section, introduced))
 
 
-def _connect(section: BrokerSection, introduced: Introduction, in_flight: int) -> Made:
+def _connect(section: BrokerSection, introduced: Introduction) -> Made:
     """Connect TCP and TLS and send CONNECT."""
     try:
         reach = access.read(section)  # anew for each connection: secrets and certificates may have been renewed
         client, errors = _make_client(section, introduced, reach)
-        client.max_inflight_messages = in_flight
+        client.max_inflight_messages = IN_FLIGHT
         options: dict[str, Any] = {}
         if section.version == "5":
             options = {"clean_start": True, "properties": _connect_properties()}
@@ -74,16 +74,20 @@ def _connect(section: BrokerSection, introduced: Introduction, in_flight: int) -
         raise BrokerAway(reasons.of_error(str(error), section.table)) from error
     if section.version == "5":
         reason = LEFT_WITH_WILL if introduced.wills_at_leave else None
-        return Made(client, errors, _Expiry, _correlated, True, reason)
-    return Made(client, errors, _nothing, _nothing, False)
+        return Made(client, errors, _Expiry, _correlated, _reason_name, is_5=True, reason=reason)
+    return Made(client, errors, _nothing, _nothing, _reason_name, is_5=False)
 
 
-class _Client(Client):
-    """paho's client, with a WebSocket of our own where one is wanted."""
+class _Client(paho.Client):
+    """paho's client, which shares its socket: it is given whole packets, and others write while it does not.
+
+    It has a WebSocket of our own where one is wanted.
+    """
 
     def __init__(self, reach: access.Access, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self._reach = reach
+        self._given = b""  # what paho has not read yet of the packet that it was given
 
     def _create_socket(self) -> Any:
         sock = super()._create_socket()
@@ -91,8 +95,72 @@ class _Client(Client):
             return sock
         return WebSocket.opened(cast(socket.socket, sock), self._reach.authority, self._reach.path, CONNECT_LIMIT)
 
+    # ---- reading
 
-def _make_client(section: BrokerSection, introduced: Introduction, reach: access.Access) -> tuple[Client, LastError]:
+    def receive(self, most: int) -> bytes:
+        """Return what has come, at most so many bytes; b"" where nothing has. The end is told by `on_disconnect`."""
+        if self._sock is None:
+            return b""
+        try:
+            received = super()._sock_recv(most)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            self._lose(error)
+            return b""
+        if not received:
+            self._lose(None)
+        self._last_bytes_received = paho.time_func()
+        return received
+
+    def take(self, packet: bytes) -> None:
+        """Let paho read a whole packet."""
+        self._given = packet
+        self.loop_read()
+
+    def _sock_recv(self, bufsize: int) -> bytes:
+        """Let paho read from the packet that it was given, and no further."""
+        if not self._given:
+            raise BlockingIOError
+        read, self._given = self._given[:bufsize], self._given[bufsize:]
+        return read
+
+    # ---- writing
+
+    def write(self, content: bytes) -> int:
+        """Write to the socket, where paho has nothing that goes first; return how many bytes it has taken."""
+        if self._sock is None or self._out_packet:
+            return 0
+        try:
+            taken = self._sock_send(content)
+        except BlockingIOError:
+            return 0
+        except OSError as error:
+            self._lose(error)
+            return 0
+        self._last_msg_out = paho.time_func()
+        return taken
+
+    def _lose(self, error: OSError | None) -> None:
+        """Do what paho does when its socket fails, or ends without an error."""
+        if error is not None:
+            self._easy_log(LogLevel.MQTT_LOG_ERR, "failed to receive on socket: %s", error)
+        self._loop_rc_handle(MQTTErrorCode.MQTT_ERR_CONN_LOST)
+
+    # ---- packet identifiers
+
+    def limit_in_flight(self, most: int) -> None:
+        """Take how many messages of QoS 2 the broker takes at a time; paho wants to know that before it connects."""
+        self._max_inflight_messages = most
+
+    def _mid_generate(self) -> int:
+        """Return one of the identifiers that are paho's; the others are those of `InFlight`."""
+        if self._last_mid >= FIRST_ID - 1:
+            self._last_mid = 0
+        return super()._mid_generate()
+
+
+def _make_client(section: BrokerSection, introduced: Introduction, reach: access.Access) -> tuple[_Client, LastError]:
     is_5 = section.version == "5"
     client = _Client(
         reach,
@@ -164,6 +232,14 @@ def _correlated(correlation: bytes) -> Properties:
     if correlation:
         properties.CorrelationData = correlation
     return properties
+
+
+def _reason_name(code: int) -> str:
+    """Name the reason code of a PUBACK."""
+    try:
+        return ReasonCode(PacketTypes.PUBACK, identifier=code).getName()
+    except KeyError:
+        return "Unknown reason"
 
 
 def _nothing(_: object) -> None:

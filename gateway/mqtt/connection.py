@@ -23,6 +23,7 @@ PILED_UP = 64  # messages that are written at once
 ANSWER_LIMIT = 10.0  # seconds from CONNECT to CONNACK
 LEAVE_LIMIT = 2.0  # seconds from the last words to the end
 NO_RECEIVE_MAXIMUM = 65_535  # messages of QoS 1 and 2 under way (MQTT 5 3.2.2.3.3)
+FAILURE = 0x80  # reason codes from here on say that it was not done (MQTT 5 2.4)
 CALLBACKS = (
     "on_connect",
     "on_disconnect",
@@ -47,7 +48,6 @@ class Connection:
 
     def __init__(self, made: Made, section: Terms, stats: MqttStats) -> None:
         self.lost: str | None = None
-        self.receive_maximum = NO_RECEIVE_MAXIMUM
         self._client = made.client
         self._errors = made.errors
         self._last_reason = made.reason
@@ -56,22 +56,23 @@ class Connection:
         self._log = logging.getLogger(section.channel)
         self._was_refused = False
         self._reception = Reception(made.client, stats, section)
-        self._socket = SocketLoop(made.client, self._reception, self)
+        self._reason_name = made.reason_name
+        self._socket = SocketLoop(made.client, self._reception, self, is_5=made.is_5)
         self.outgoing = Outgoing(made, section, stats, self._socket.write_soon)
         self.receipts = Receipts(made.client, self.outgoing)
         self._news = asyncio.Event()
         self._wanted_room = 0
         self._error: Exception | None = None
         self._loop = asyncio.get_running_loop()
-        self._attach(acknowledges=bool(section.qos))
+        self._attach()
 
-    def _attach(self, *, acknowledges: bool) -> None:
+    def _attach(self) -> None:
         client = self._client
         client.on_connect = self._on_connect
         client.on_disconnect = self._on_disconnect
         client.on_socket_close = self._on_socket_close
         client.on_socket_register_write = _do_nothing  # it keeps paho from writing message by message
-        if acknowledges:
+        if self.outgoing.is_pahos:
             client.on_publish = self._on_publish
         if not self._socket.attach():
             raise BrokerAway(reasons.of_silence(self._errors.text, self._table))
@@ -82,7 +83,7 @@ class Connection:
     def _on_connect(self, _client: Any, _data: Any, _flags: Any, code: Any, properties: Any) -> None:
         self._answer = code
         self.outgoing.largest = getattr(properties, "MaximumPacketSize", None)
-        self.receive_maximum = getattr(properties, "ReceiveMaximum", NO_RECEIVE_MAXIMUM)
+        self.outgoing.limit(getattr(properties, "ReceiveMaximum", NO_RECEIVE_MAXIMUM))
         self._news.set()
 
     def _on_disconnect(self, _client: Any, _data: Any, flags: Any, code: Any, _properties: Any) -> None:
@@ -92,13 +93,28 @@ class Connection:
             self.lose(self._errors.text or LOSSES.get(code.getName(), code.getName()))
 
     def _on_publish(self, _client: Any, _data: Any, _mid: int, code: Any, _properties: Any) -> None:
-        if code.is_failure and not self._was_refused:
+        if code.is_failure:
+            self._tell_refusal(code.value)
+
+    def _tell_refusal(self, code: int) -> None:
+        """Log that the broker acknowledges and does not want a message: once, since more will follow."""
+        if not self._was_refused:
             self._was_refused = True
-            why = reasons.of_code(code.value, code.getName(), self._table)
+            why = reasons.of_code(code, self._reason_name(code), self._table)
             self._log.warning("the broker refuses messages: %s", why)
 
     def _on_socket_close(self, _client: Any, _data: Any, _sock: Any) -> None:
         self._socket.detach()
+
+    # ---- what its socket tells
+
+    def acknowledge(self, packet_id: int, code: int) -> bool:
+        """Take a PUBACK; False where it is for paho."""
+        if not self.outgoing.acknowledge(packet_id):
+            return False
+        if code >= FAILURE:
+            self._tell_refusal(code)
+        return True
 
     # ---- what its user does
 

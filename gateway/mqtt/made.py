@@ -56,15 +56,16 @@ class Made:
     """A paho client that has sent its CONNECT, and what goes with it.
 
     `expiry` makes the properties of a message that the broker may forget after so many seconds, and `correlation`
-    those of an answer; both make None where the protocol has no such thing: `has_properties` says whether it has.
-    `reason` goes with the last DISCONNECT.
+    those of an answer; both make None where the protocol has no such thing: `is_5` says whether it has.
+    `reason_name` names the reason code of a PUBACK. `reason` goes with the last DISCONNECT.
     """
 
     client: Any
     errors: LastError
     expiry: Callable[[int], Any]
     correlation: Callable[[bytes], Any]
-    has_properties: bool
+    reason_name: Callable[[int], str]
+    is_5: bool
     reason: Any = None
 
 

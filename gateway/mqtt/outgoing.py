@@ -1,6 +1,7 @@
-"""What goes to the broker by one connection: handed to paho here and nowhere else, and followed until it is there.
+"""What goes to the broker by one connection: written here and nowhere else, and followed until it is there.
 
-At QoS 0 a message is there when the socket has taken it, else when the broker has acknowledged it.
+At QoS 0 a message is there when the socket has taken it, else when the broker has acknowledged it. Messages of QoS 0
+and 1 are written past paho while it has nothing to write itself, and behind that where it has; QoS 2 is all paho's.
 """
 
 from __future__ import annotations
@@ -12,13 +13,15 @@ from typing import Any, cast
 
 from gateway.metrics import MqttStats
 from gateway.mqtt import packets
+from gateway.mqtt.in_flight import IN_FLIGHT, InFlight
 from gateway.mqtt.made import Made, Terms
 from gateway.mqtt.packets import Batch
 from gateway.mqtt.publisher import FOR_EVER
 
 NO_PROPERTIES = b"\x00"  # MQTT 5
 LARGEST_OVERHEAD = 32  # bytes of a PUBLISH beside topic and payload
-PACKET_IDS = 60_000  # messages of QoS 1 and 2 that can be told apart, with a margin
+PACKET_IDS = 60_000  # messages of QoS 2 that can be told apart, with a margin
+IsThere = Callable[[], bool]  # says of a message whether it is there
 RESERVE = 256  # messages beyond the queue that may tell what became of commands: values must not keep that back
 
 
@@ -26,13 +29,14 @@ class Outgoing:
     """The messages of one connection on their way to the broker; `flush_soon` has them written without waiting."""
 
     def __init__(self, made: Made, section: Terms, stats: MqttStats, flush_soon: Callable[[], None]) -> None:
-        self.capacity = min(section.queue, PACKET_IDS) if section.qos else section.queue
+        self.capacity = min(section.queue, PACKET_IDS) if section.qos == 2 else section.queue
         self.largest: int | None = None  # bytes of a packet that the broker takes
         self.unwritten = 0  # messages since the last flush
         self.is_closed = False
         self.handed = 0  # messages on this connection
         self.there = 0  # of which the broker has so many for certain, the first ones: see `Receipts` for QoS 0
         self.needs_ping = not section.qos
+        self.is_pahos = section.qos == 2  # all of it
         self._client = made.client
         self._make_expiry = made.expiry
         self._correlate = made.correlation
@@ -41,41 +45,52 @@ class Outgoing:
         self._qos = section.qos
         self._flush_soon = flush_soon
         self._expiries: dict[int, Any] = {FOR_EVER: None}
-        self._has_properties = made.has_properties
+        self._has_properties = made.is_5
         self._topics: dict[str, bytes] = {}
-        self._batch: Batch | None = None  # what paho was not handed yet, of QoS 0
-        self._on_their_way: deque[Any] = deque()  # paho's messages, and batches
-        self._waiting = 0  # messages in all of them
-        self._told: deque[Any] = deque()  # those of them that tell what became of commands
-        self._events: deque[Any] = deque()  # those that the broker has to acknowledge, whatever `qos` is
-        self._posted: deque[Any] = deque()  # of what the broker has missed
+        self._batch: Batch | None = None  # what is written next
+        self._batches: deque[Batch] = deque()  # what the socket has not taken, with that one
+        self._in_batches = 0  # messages in them
+        self._in_flight = InFlight()
+        self._of_paho: deque[Any] = deque()  # messages of QoS 2
+        self._told: deque[IsThere] = deque()  # messages that tell what became of commands
+        self._events: deque[IsThere] = deque()  # those that the broker has to acknowledge, whatever `qos` is
+        self._posted: deque[IsThere] = deque()  # of what the broker has missed
 
     @property
     def room(self) -> int:
         """Return how many more messages may be on their way."""
-        return self.capacity - self._waiting
+        return self.capacity - self.waiting
 
     @property
     def waiting(self) -> int:
         """Return how many messages are on their way."""
-        return self._waiting
+        if self._qos == 1:
+            return self._in_flight.open
+        if self.is_pahos:
+            return len(self._of_paho)
+        return self._in_batches + self._in_flight.queued
 
     @property
     def is_empty(self) -> bool:
         """Say whether all is there."""
-        return not self._on_their_way
+        return not self.waiting
+
+    def limit(self, receive_maximum: int) -> None:
+        """Take how many messages of QoS 1 and 2 the broker takes at a time."""
+        self._in_flight.limit(receive_maximum)
+        self._client.limit_in_flight(min(IN_FLIGHT, receive_maximum))
 
     # ---- what the publishers send
 
     def send(self, topic: str, text: str, *, retain: bool, expiry: int) -> None:
-        """Hand a message to paho; a flush writes it."""
+        """Take a message; a flush writes it."""
         if self._is_too_large(topic, text):
             self._stats.dropped += 1
         else:
             self._publish(topic, text, retain, self._expiry(expiry))
 
     def carry(self, topic: str, payload: bytes) -> bool:
-        """Hand bytes to paho, not to be retained; a flush writes them. False where they are too large."""
+        """Take bytes, not to be retained; a flush writes them. False where they are too large."""
         if self._is_too_large(topic, payload):
             return False
         self._publish(topic, payload, retain=False, properties=None)
@@ -90,38 +105,73 @@ class Outgoing:
         self._log.warning("%s: larger than the %d bytes that the broker takes", topic, self.largest)
         return True
 
-    def _publish(self, topic: str, text: str | bytes, retain: bool, properties: Any, qos: int | None = None) -> None:
-        quality = self._qos if qos is None else qos
-        if quality:
-            self.push()
-            self._on_their_way.append(self._client.publish(topic, text, quality, retain, properties))
-        else:
-            self._add(topic, text, retain, properties)
-        self._waiting += 1
-        self.unwritten += 1
-        self.handed += 1
-        self._stats.published += 1
-
-    def _add(self, topic: str, text: str | bytes, retain: bool, properties: Any) -> None:
-        """Put a message of QoS 0 to the others that are written with the next flush."""
-        if self._batch is None:
-            self._batch = Batch()
-            self._on_their_way.append(self._batch)
+    def _publish(self, topic: str, text: str | bytes, retain: bool, properties: Any) -> None:
+        """Send one of the many messages, whose topics come again and again."""
+        if self.is_pahos:
+            self._publish_by_paho(topic, text, retain, properties)
+            return
         known = self._topics.get(topic)
         if known is None:
             known = self._topics[topic] = packets.topic_bytes(topic)
+        self._add(known, text, retain, properties, self._qos)
+
+    def _publish_once(self, topic: str, text: str, properties: Any, qos: int) -> IsThere:
+        """Send a message that is none of the many; return what says that it is there."""
+        if self.is_pahos:
+            return self._publish_by_paho(topic, text, False, properties)
+        self._add(packets.topic_bytes(topic), text, False, properties, qos)
+        return self._in_flight.receipt() if qos else self._next_batch().is_written
+
+    def _publish_by_paho(self, topic: str, text: str | bytes, retain: bool, properties: Any) -> IsThere:
+        self.push()
+        self._of_paho.append(self._client.publish(topic, text, 2, retain, properties))
+        self._count()
+        return cast("IsThere", self._of_paho[-1].is_published)
+
+    def _add(self, topic: bytes, text: str | bytes, retain: bool, properties: Any, qos: int) -> None:
+        """Put a message to those that are written next, or behind those of which some must be there first."""
         packed = b""
         if self._has_properties:
             packed = NO_PROPERTIES if properties is None else properties.pack()
         content = text if isinstance(text, bytes) else text.encode()
-        self._batch.add(packets.publish(known, content, packed, retain=retain))
+        self._count()
+        if qos:
+            self._in_flight.add(*packets.publish_at_1(topic, content, packed, retain=retain))
+            self._release()
+        else:
+            self._next_batch().add(packets.publish(topic, content, packed, retain=retain))
+            self._in_batches += 1
+
+    def _release(self) -> None:
+        """Put to what is written next what need not wait for acknowledgements any longer."""
+        pieces = self._in_flight.release()
+        if pieces:
+            self._in_batches += self._next_batch().add_pieces(pieces)
+
+    def _next_batch(self) -> Batch:
+        if self._batch is None:
+            self._batch = Batch()
+            self._batches.append(self._batch)
+        return self._batch
+
+    def _count(self) -> None:
+        self.unwritten += 1
+        self.handed += 1
+        self._stats.published += 1
 
     def push(self) -> None:
-        """Hand paho what it was not handed yet, ahead of whatever comes next."""
+        """Write what was not written yet; what the socket does not take goes ahead of whatever comes next."""
+        self._release()
         batch, self._batch = self._batch, None
-        if batch is not None:
-            self._client._packet_queue(packets.PUBLISH, b"".join(batch.parts), 0, 0, batch)
-            batch.parts.clear()
+        if batch is None:
+            return
+        content = b"".join(batch.parts)
+        batch.parts.clear()
+        taken = self._client.write(content)
+        if taken == len(content):
+            batch.note_written()
+        else:
+            self._client._packet_queue(packets.PUBLISH, content[taken:], 0, 0, batch)
 
     def _expiry(self, seconds: int) -> Any:
         if seconds not in self._expiries:
@@ -133,64 +183,70 @@ class Outgoing:
     def say(
         self, topic: str, text: str, *, expiry: int, is_event: bool = False, is_remembered: bool = False
     ) -> bool:
-        """Hand what happened to paho, and write it soon; False where too much is on its way.
+        """Send what happened, and have it written soon; False where too much is on its way.
 
         `is_remembered`: whoever says it tells it again where it does not get there.
         """
         if not is_event:
-            return self._tell(topic, text, self._expiry(expiry))
-        if len(self._events) >= RESERVE or not self._tell(topic, text, self._expiry(expiry), max(1, self._qos)):
+            return self._tell(topic, text, self._expiry(expiry), self._qos) is not None
+        if len(self._events) >= RESERVE:
             return False
-        self._events.append(self._on_their_way[-1])
+        is_there = self._tell(topic, text, self._expiry(expiry), max(1, self._qos))
+        if is_there is None:
+            return False
+        self._events.append(is_there)
         if is_remembered:
             self._told.pop()
         return True
 
     def reply(self, topic: str, text: str, correlation: bytes) -> bool:
-        """Hand an answer to paho, and write it soon; False where too much is on its way."""
-        return self._tell(topic, text, self._correlate(correlation))
+        """Send an answer, and have it written soon; False where too much is on its way."""
+        return self._tell(topic, text, self._correlate(correlation), self._qos) is not None
 
-    def _tell(self, topic: str, text: str, properties: Any, qos: int | None = None) -> bool:
+    def _tell(self, topic: str, text: str, properties: Any, qos: int) -> IsThere | None:
         if self.room <= -RESERVE or self.is_closed or self._is_too_large(topic, text):
-            return False
-        self._publish(topic, text, retain=False, properties=properties, qos=qos)
-        self._told.append(self._on_their_way[-1])
+            return None
+        is_there = self._publish_once(topic, text, properties, qos)
+        self._told.append(is_there)
         self._flush_soon()
-        return True
+        return is_there
 
     # ---- what the broker has missed
 
-    def post(self, topic: str, text: str) -> Callable[[], bool] | None:
-        """Hand a message to paho at QoS 1; return what says that the broker has it, None where it is too large."""
+    def post(self, topic: str, text: str) -> IsThere | None:
+        """Send a message at QoS 1 at the least; return what says that it is there, None where it is too large."""
         if self._is_too_large(topic, text):
             return None
-        self._publish(topic, text, retain=False, properties=None, qos=max(1, self._qos))
-        self._posted.append(self._on_their_way[-1])
-        return cast("Callable[[], bool]", self._posted[-1].is_published)
+        self._posted.append(self._publish_once(topic, text, None, max(1, self._qos)))
+        return self._posted[-1]
 
     @property
-    def last_event(self) -> Callable[[], bool]:
+    def last_event(self) -> IsThere:
         """Return what says of the event that was said last whether the broker has it."""
-        return cast("Callable[[], bool]", self._events[-1].is_published)
+        return self._events[-1]
 
     # ---- what became of it
 
+    def acknowledge(self, packet_id: int) -> bool:
+        """Take that the broker has a message of QoS 1; False where none of those written here has that identifier."""
+        return self._in_flight.acknowledge(packet_id)
+
     def count(self, *, is_all_written: bool) -> bool:
         """Let go of what is there; `is_all_written`: the socket has taken everything. Say whether a post is there."""
-        waiting, posted, before = self._on_their_way, len(self._posted), self._waiting
+        posted = len(self._posted)
         if is_all_written and not self._qos:
-            waiting.clear()
             self._told.clear()
-            self._waiting = 0
-        while waiting and waiting[0].is_published():
-            first = waiting.popleft()
-            self._waiting -= first.count if isinstance(first, Batch) else 1
+        while self._batches and (is_all_written or self._batches[0].is_written()):
+            self._in_batches -= self._batches.popleft().count
+        while self._of_paho and self._of_paho[0].is_published():
+            self._of_paho.popleft()
+            self.there += 1
+        if self._qos == 1:
+            self.there = self._in_flight.there
         for sent in (self._told, self._events, self._posted):
-            while sent and sent[0].is_published():
+            while sent and sent[0]():
                 sent.popleft()
-        if self._qos:
-            self.there += before - self._waiting
-        self._stats.waiting = self._waiting
+        self._stats.waiting = self.waiting
         return len(self._posted) < posted
 
     def abandon(self) -> None:

@@ -1,7 +1,7 @@
-"""Writes PUBLISH packets of QoS 0, and joins packets so that one call of the system takes them all. Pure.
+"""Writes PUBLISH packets of QoS 0 and 1, reads PUBACK, and joins packets for one call of the system. Pure.
 
-paho makes an object, a dictionary and a call of the system of each message; at some thousand values a second that is
-more than all the rest. What has to be acknowledged, sent again or counted is still paho's.
+paho makes objects, a dictionary and a call of the system of each message, and reads its acknowledgement in pieces; at
+some thousand values a second that is more than all the rest. What is sent at QoS 2 is still paho's.
 """
 
 from __future__ import annotations
@@ -12,6 +12,9 @@ from typing import Any
 
 PUBLISH = 0x30  # MQTT 5 3.3.1; as QoS 0 its lower half is RETAIN alone
 RETAIN = 0x01
+AT_LEAST_ONCE = 0x02  # QoS 1
+PUBACK = 0x40
+LONGEST_HEAD = 6  # bytes before what a packet says; a length that takes them all is none
 DISCONNECT = 0xE0
 TOGETHER = 64 * 1024  # bytes that are joined: what waits for a slow broker is not copied again and again
 LONGEST_TOPIC = 65_535  # bytes (MQTT 5 1.5.4)
@@ -34,6 +37,28 @@ def publish(topic: bytes, payload: bytes, properties: bytes, *, retain: bool) ->
     return b"%c%b%b%b%b" % (head, length(size), topic, properties, payload)
 
 
+def publish_at_1(topic: bytes, payload: bytes, properties: bytes, *, retain: bool) -> tuple[bytes, bytes]:
+    """Return a PUBLISH at QoS 1 in two pieces, between which its packet identifier goes; see `publish`."""
+    size = len(topic) + 2 + len(properties) + len(payload)
+    head = PUBLISH | AT_LEAST_ONCE | RETAIN if retain else PUBLISH | AT_LEAST_ONCE
+    if size < 128:
+        return b"%c%c%b" % (head, size, topic), properties + payload
+    return b"%c%b%b" % (head, length(size), topic), properties + payload
+
+
+def puback(packet: bytes, *, is_5: bool) -> tuple[int, int] | None:
+    """Return packet identifier and reason code of a whole packet that is a PUBACK (MQTT 5 3.4); None: it is none."""
+    if packet[0] != PUBACK:
+        return None
+    start = 2
+    while packet[start - 1] & 0x80 and start < LONGEST_HEAD:
+        start += 1
+    size = len(packet) - start
+    if size < 2 or (size > 2 and not is_5):
+        return None
+    return packet[start] << 8 | packet[start + 1], packet[start + 2] if size > 2 else 0
+
+
 def length(size: int) -> bytes:
     """Return a variable byte integer (MQTT 5 1.5.5)."""
     written = bytearray()
@@ -45,7 +70,7 @@ def length(size: int) -> bytes:
 
 
 class Batch:
-    """Messages of QoS 0 that are written together; paho tells it when they are."""
+    """Messages that are written together; whoever writes them tells it when they are."""
 
     __slots__ = ("_is_written", "count", "parts")
 
@@ -59,12 +84,21 @@ class Batch:
         self.parts.append(packet)
         self.count += 1
 
-    def is_published(self) -> bool:
+    def add_pieces(self, pieces: Sequence[bytes]) -> int:
+        """Take packets in three pieces each; return how many they are."""
+        self.parts += pieces
+        self.count += len(pieces) // 3
+        return len(pieces) // 3
+
+    def is_written(self) -> bool:
         """Say whether the socket has taken all of it."""
         return self._is_written
 
-    def _set_as_published(self) -> None:
+    def note_written(self) -> None:
+        """Take that it has."""
         self._is_written = True
+
+    _set_as_published = note_written  # as paho calls it
 
 
 class _Several:

@@ -7,8 +7,10 @@ from typing import Any, Protocol
 
 from gateway.mqtt import packets
 from gateway.mqtt.reception import Reception
+from gateway.mqtt.stream import Stream, TooLarge
 
-READ_AT_ONCE = 8  # messages that are read at a stretch: well below a millisecond, so that no line waits for a flood
+READ_AT_ONCE = 8  # packets that are read at a stretch: well below a millisecond, so that no line waits for a flood
+RECEIVED_AT_ONCE = 4096  # bytes: a thousand acknowledgements, which take a millisecond
 LARGEST_PACKET = 64 * 1024  # bytes that the broker may send in one packet
 TOO_LARGE = "the broker sent a packet of %d bytes; no command needs more than %d"
 
@@ -19,6 +21,10 @@ class Owner(Protocol):
     @property
     def lost(self) -> str | None:
         """Return why the connection is lost; None while it is not."""
+        ...
+
+    def acknowledge(self, packet_id: int, code: int) -> bool:
+        """Take a PUBACK; False where it is for paho."""
         ...
 
     def flush(self) -> None:
@@ -37,12 +43,16 @@ class Owner(Protocol):
 class SocketLoop:
     """The socket of a paho client, from `attach` to `detach`."""
 
-    def __init__(self, client: Any, reception: Reception, owner: Owner) -> None:
+    def __init__(self, client: Any, reception: Reception, owner: Owner, *, is_5: bool) -> None:
         self._client = client
+        self._is_5 = is_5
         self._reception = reception
         self._owner = owner
         self._loop = asyncio.get_running_loop()
         self._fd = -1
+        self._stream = Stream(LARGEST_PACKET)
+        self._may_have_more = False  # whole packets that were received and not read
+        self._is_reading_soon = False
         self._is_writing = False
         self._is_flushing_soon = False
 
@@ -66,34 +76,52 @@ class SocketLoop:
     # ---- reading
 
     def _readable(self) -> None:
+        if not self._is_reading_soon:
+            self._read()
+
+    def _read_on(self) -> None:
+        self._is_reading_soon = False
+        self._read()
+
+    def _read(self) -> None:
+        """Read some packets; what is left makes the socket readable again, but for what was received already."""
         if self._fd < 0:
             return  # it was lost since this was asked for
         try:
-            self._read()
+            self._hand_on()
+            if self._fd >= 0 and (self._may_have_more or self._has_pending()):
+                self._is_reading_soon = True
+                self._loop.call_soon(self._read_on)
             self._reception.hand_over()
             self._owner.flush()
         except Exception as error:
             self._owner.fail(error)
 
-    def _read(self) -> None:
-        """Read some messages; what is left makes the socket readable again, but for what was read already."""
+    def _hand_on(self) -> None:
+        """Let paho read some packets, and the owner the acknowledgements between them."""
+        if not self._may_have_more:
+            self._stream.feed(self._client.receive(RECEIVED_AT_ONCE))
+        self._may_have_more = False
         for _ in range(READ_AT_ONCE):
-            before = self._reception.count
-            self._client.loop_read()
-            self._refuse_large_packet()
+            packet = self._next_for_paho()
+            if packet is None:
+                return
+            self._client.take(packet)
             if self._owner.lost is not None:
                 return
-            if self._reception.count == before and not self._has_pending():
-                return
-        if self._has_pending():
-            self._loop.call_soon(self._readable)
+        self._may_have_more = True
 
-    def _refuse_large_packet(self) -> None:
-        """End the connection before paho collects a packet of up to 256 MiB: MQTT 3.1.1 cannot forbid them."""
-        size = self._client._in_packet["remaining_length"]
-        if size > LARGEST_PACKET and self._owner.lost is None:
+    def _next_for_paho(self) -> bytes | None:
+        """Return the next packet that is no acknowledgement for the owner, None where none has come."""
+        try:
+            while (packet := self._stream.next()) is not None:
+                found = packets.puback(packet, is_5=self._is_5)
+                if found is None or not self._owner.acknowledge(*found):
+                    return packet
+        except TooLarge as error:
             self.detach()
-            self._owner.lose(TOO_LARGE % (size, LARGEST_PACKET))
+            self._owner.lose(TOO_LARGE % (error.size, LARGEST_PACKET))
+        return None
 
     def _has_pending(self) -> bool:
         """Say whether TLS or a WebSocket holds bytes that it has read already, of which the socket tells nothing."""
@@ -119,9 +147,11 @@ class SocketLoop:
 
     def write(self) -> bool:
         """Write what paho holds; say whether all of it is written. The rest is as soon as the socket takes it."""
-        packets.join(self._client._out_packet)
-        self._client.loop_write()
-        wants_write = bool(self._client.want_write()) or not self._pushed()
+        queued = self._client._out_packet
+        if queued:
+            packets.join(queued)
+            self._client.loop_write()
+        wants_write = bool(queued) or not self._pushed()
         if self._fd >= 0 and wants_write is not self._is_writing:
             self._is_writing = wants_write
             if wants_write:

@@ -49,7 +49,6 @@ class Uplink(ABC):
         self._log = logging.getLogger(section.channel)
         self._backoff = Backoff(section.reconnect_after, section.reconnect_at_most, chance or random.SystemRandom())
         self._connection: Connection | None = None
-        self._in_flight = client.IN_FLIGHT
         self._told = ""
         self._missed: Missed[Any] | None = None  # None: nothing is kept for this broker while it is away
 
@@ -61,9 +60,6 @@ class Uplink(ABC):
 
     def _knocked(self) -> None:  # noqa: B027 - most need not know
         """Take that a CONNECT was sent, accepted or not."""
-
-    def _accepted(self, connection: Connection) -> None:  # noqa: B027 - most have nothing against it
-        """Take what the broker says of itself; BrokerAway where that does not do."""
 
     @abstractmethod
     def _begin(self, connection: Connection) -> None:
@@ -135,13 +131,12 @@ class Uplink(ABC):
 
     async def _connect_once(self) -> None:
         """Serve one connection to its end, which BrokerAway tells."""
-        made = await client.connect(self._terms, self._introduction(), self._in_flight)
+        made = await client.connect(self._terms, self._introduction())
         self._knocked()
         connection = None
         try:
             connection = Connection(made, self._terms, self._stats)
             await connection.accepted()
-            self._accepted(connection)
             self._take_up(connection)
             await self._serve(connection)
         except asyncio.CancelledError:

@@ -21,6 +21,7 @@ from gateway.mqtt.bridge import Bridge
 from gateway.mqtt.filters import policies
 from gateway.mqtt.forwarding import Forwarder, Parcel
 from gateway.mqtt.history import Historian
+from gateway.mqtt.in_flight import InFlight
 from gateway.mqtt.missed import SHORT, Missed
 from gateway.mqtt.outgoing import Outgoing
 from gateway.mqtt.receipts import BETWEEN, Receipts
@@ -203,7 +204,7 @@ class Pinged:
 def outgoing() -> Outgoing:
     """Return a way to the broker on which two messages were handed over at QoS 0."""
     made = Outgoing.__new__(Outgoing)
-    made.needs_ping, made.handed, made.there, made._batch = True, 2, 0, None
+    made.needs_ping, made.handed, made.there, made._batch, made._in_flight = True, 2, 0, None, InFlight()
     return made
 
 

@@ -83,7 +83,7 @@ def test_what_is_joined_goes_out_as_it_would_have() -> None:
     assert joined["to_process"] == len(joined["packet"])
     assert (joined["command"] & 0xF0, joined["qos"]) == (packets.PUBLISH, 0), "so that paho tells of it"
     joined["info"]._set_as_published()
-    assert (half.is_published(), first.is_published(), second.is_published()) == (False, True, True)
+    assert (half.is_written(), first.is_written(), second.is_written()) == (False, True, True)
 
 
 @pytest.mark.hazard("H24")
