@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 import socket
-import threading
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -20,8 +18,9 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 from gateway.config import BrokerSection, MqttSection
 from gateway.errors import BadConfig
 from gateway.mqtt import access, payload, reasons, topics
+from gateway.mqtt.connecting import in_thread
 from gateway.mqtt.in_flight import FIRST_ID, IN_FLIGHT
-from gateway.mqtt.made import BrokerAway, LastError, Made, close
+from gateway.mqtt.made import BrokerAway, LastError, Made
 from gateway.mqtt.ws_socket import WebSocket
 
 CONNECT_LIMIT = 5.0  # seconds, for TCP, for the TLS handshake and for that of a WebSocket each
@@ -55,7 +54,7 @@ def introduction(section: MqttSection, gateway: str) -> Introduction:
 
 async def connect(section: BrokerSection, introduced: Introduction) -> Made:
     """Connect in a thread, since paho blocks meanwhile; BrokerAway says why not."""
-    return await _in_thread(lambda: _connect(section, introduced))
+    return await in_thread(lambda: _connect(section, introduced))
 
 
 def _connect(section: BrokerSection, introduced: Introduction) -> Made:
@@ -244,38 +243,3 @@ def _reason_name(code: int) -> str:
 
 def _nothing(_: object) -> None:
     """Make no properties: MQTT 3.1.1 has none."""
-
-
-async def _in_thread(connect: Callable[[], Made]) -> Made:
-    """Connect in a thread of its own: the end of the daemon need not wait for it, as it would for an executor's."""
-    loop = asyncio.get_running_loop()
-    made: asyncio.Future[Made] = loop.create_future()
-
-    def deliver(result: Made | None, error: BaseException | None) -> None:
-        if made.cancelled():
-            if result is not None:
-                close(result.client)
-        elif result is not None:
-            made.set_result(result)
-        elif error is not None:
-            made.set_exception(error)
-
-    def work() -> None:
-        result, error = None, None
-        try:
-            result = connect()
-        except BaseException as raised:  # whatever it is, it belongs to the one who waits
-            error = raised
-        try:
-            loop.call_soon_threadsafe(deliver, result, error)
-        except RuntimeError:  # the loop is closed: nobody waits any longer
-            if result is not None:
-                close(result.client)
-
-    threading.Thread(target=work, name="mqtt-connect", daemon=True).start()
-    try:
-        return await made
-    except asyncio.CancelledError:
-        if made.done() and not made.cancelled() and made.exception() is None:
-            close(made.result().client)  # it was there already when the bridge was told to end
-        raise

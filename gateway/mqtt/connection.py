@@ -116,6 +116,11 @@ class Connection:
             self._tell_refusal(code)
         return True
 
+    @property
+    def has_unwritten(self) -> bool:
+        """Say whether anything was sent since the last flush."""
+        return self.outgoing.unwritten > 0
+
     # ---- what its user does
 
     def listen(self, subscriptions: Sequence[tuple[str, Any]], ears: Ears) -> None:
@@ -134,11 +139,13 @@ class Connection:
             self._news.set()
 
     def flush_soon(self) -> None:
-        """Write what was sent when whoever sends has come to an end, together with what others send meanwhile."""
-        if self.outgoing.unwritten >= PILED_UP:
+        """Write what was sent, now where that is the first time in this turn of the loop, else at its end.
+
+        One reading goes at once, and those of many drives, or of many values one by one, go together.
+        """
+        if not self._socket.is_flushing_soon or self.outgoing.unwritten >= PILED_UP:
             self.flush()
-        else:
-            self._socket.write_soon()
+        self._socket.write_soon()
 
     def tend(self) -> None:
         """Keep the connection alive, or find that it is not."""

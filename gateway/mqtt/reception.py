@@ -25,7 +25,6 @@ class Reception:
     """The messages of one connection, from paho's callbacks to whoever hears them."""
 
     def __init__(self, client: Any, stats: MqttStats, section: Terms) -> None:
-        self.count = 0  # messages noted so far
         self._client = client
         self._stats = stats
         self._table = section.table
@@ -50,7 +49,6 @@ class Reception:
         except UnicodeDecodeError:
             self._stats.ignored += 1
             return
-        self.count += 1
         known = getattr(message, "properties", None)
         self._noted.append(
             Message(

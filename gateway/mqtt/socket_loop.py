@@ -23,6 +23,11 @@ class Owner(Protocol):
         """Return why the connection is lost; None while it is not."""
         ...
 
+    @property
+    def has_unwritten(self) -> bool:
+        """Say whether anything was sent since the last flush."""
+        ...
+
     def acknowledge(self, packet_id: int, code: int) -> bool:
         """Take a PUBACK; False where it is for paho."""
         ...
@@ -54,7 +59,7 @@ class SocketLoop:
         self._may_have_more = False  # whole packets that were received and not read
         self._is_reading_soon = False
         self._is_writing = False
-        self._is_flushing_soon = False
+        self.is_flushing_soon = False  # at the end of this turn of the loop
 
     def attach(self) -> bool:
         """Have the loop watch the socket; False where paho has none any more."""
@@ -132,12 +137,16 @@ class SocketLoop:
 
     def write_soon(self) -> None:
         """Have the owner flush when whoever sends has come to an end."""
-        if not self._is_flushing_soon:
-            self._is_flushing_soon = True
-            self._loop.call_soon(self._writable)
+        if not self.is_flushing_soon:
+            self.is_flushing_soon = True
+            self._loop.call_soon(self._end_turn)
+
+    def _end_turn(self) -> None:
+        self.is_flushing_soon = False
+        if self._owner.has_unwritten:
+            self._writable()
 
     def _writable(self) -> None:
-        self._is_flushing_soon = False
         if self._fd < 0:
             return
         try:

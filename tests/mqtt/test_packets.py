@@ -1,4 +1,4 @@
-"""PUBLISH packets at QoS 0 are those that paho writes; what is joined goes out as it would have."""
+"""PUBLISH packets are those that paho writes; what is joined goes out as it would have."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
 from gateway.mqtt import packets
 from gateway.mqtt.client import _Expiry
-from gateway.mqtt.packets import TOGETHER, Batch, join, publish, topic_bytes
+from gateway.mqtt.packets import TOGETHER, Batch, join, publish, publish_at_1, topic_bytes
 
 TOPICS = st.text(st.characters(exclude_characters="+#\0", exclude_categories=["Cs"]), min_size=1, max_size=40)
 PAYLOADS = st.one_of(st.binary(max_size=300), st.integers(0, 70_000).map(bytes))
@@ -28,9 +28,11 @@ class Client0(Client):
         self._sock: Any = io.BytesIO()
         self.on_socket_register_write = lambda *_: None
 
-    def written(self, topic: str, payload: bytes, retain: bool, properties: Any) -> bytes:
-        """Return the packet of a message."""
-        self.publish(topic, payload, 0, retain, properties)
+    def written(self, topic: str, payload: bytes, retain: bool, properties: Any, qos: int = 0) -> bytes:
+        """Return the packet of a message; at QoS 1 its identifier is 1."""
+        self._last_mid = self._inflight_messages = 0
+        self._out_messages.clear()
+        self.publish(topic, payload, qos, retain, properties)
         packet: bytes = bytes(self._out_packet.pop()["packet"])
         return packet
 
@@ -46,6 +48,10 @@ def test_a_packet_is_as_paho_writes_it(topic: str, payload: bytes, retain: bool,
     named = topic_bytes(topic)
     assert publish(named, payload, packed, retain=retain) == FIVE.written(topic, payload, retain, properties)
     assert publish(named, payload, b"", retain=retain) == THREE.written(topic, payload, retain, None)
+    five = publish_at_1(named, payload, packed, retain=retain)
+    assert b"\x00\x01".join(five) == FIVE.written(topic, payload, retain, properties, 1)
+    three = publish_at_1(named, payload, b"", retain=retain)
+    assert b"\x00\x01".join(three) == THREE.written(topic, payload, retain, None, 1)
 
 
 def test_a_topic_that_no_packet_holds_is_refused() -> None:
