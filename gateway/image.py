@@ -106,7 +106,8 @@ class DriveImage:
         if self._turned:
             for name in names:
                 self._turned.pop(name, None)
-        self._tell(names)
+        if names:  # without any it would be told as a change of the link
+            self._tell(names)
 
     def set_link(self, link: LinkState, reason: str = "") -> None:
         """Take the link's state; a lost link ends the freshness of every value for good, however often it is told."""

@@ -11,7 +11,7 @@ from typing import cast
 
 from gateway.clock import Clock
 from gateway.control.command import Channel, Source
-from gateway.modbus_tcp.hosts import host_of
+from gateway.modbus_tcp.hosts import host_of, peer_name
 from gateway.modbus_tcp.places import Places
 from gateway.modbus_tcp.reception import Served
 from gateway.modbus_tcp.responder import GO_ON, READ_ON, TRANSACTION, Responder
@@ -217,7 +217,7 @@ class Connection(Answering):
 
     @property
     def _peer(self) -> str:
-        return str(self._transport.get_extra_info("peername"))
+        return peer_name(self._transport.get_extra_info("peername"))
 
 
 def call_later(seconds: float, call: Callable[[], None]) -> Timer:

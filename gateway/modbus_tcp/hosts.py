@@ -19,6 +19,14 @@ def host_of(peer: Sequence[object] | None) -> str:
     return host
 
 
+def peer_name(peer: Sequence[object] | None) -> str:
+    """Return how a client is called in the log: "192.0.2.7:50123", "[2001:db8::7]:50123"."""
+    if not peer or len(peer) < 2:
+        return "a client that is gone"
+    host = host_of(peer)
+    return f"[{host}]:{peer[1]}" if ":" in host else f"{host}:{peer[1]}"
+
+
 def source_name(role: str, host: str) -> str:
     """Return how a controller with a certificate is called: two roles on one machine are two controllers."""
     return f"{role}{AT}{host}"

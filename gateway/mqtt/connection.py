@@ -22,6 +22,7 @@ from gateway.mqtt.socket_loop import SocketLoop
 PILED_UP = 64  # messages that are written at once
 ANSWER_LIMIT = 10.0  # seconds from CONNECT to CONNACK
 LEAVE_LIMIT = 2.0  # seconds from the last words to the end
+HIGHEST_QOS = 2  # where CONNACK says nothing else (MQTT 5 3.2.2.3.4)
 NO_RECEIVE_MAXIMUM = 65_535  # messages of QoS 1 and 2 under way (MQTT 5 3.2.2.3.3)
 FAILURE = 0x80  # reason codes from here on say that it was not done (MQTT 5 2.4)
 CALLBACKS = (
@@ -83,7 +84,8 @@ class Connection:
     def _on_connect(self, _client: Any, _data: Any, _flags: Any, code: Any, properties: Any) -> None:
         self._answer = code
         self.outgoing.largest = getattr(properties, "MaximumPacketSize", None)
-        self.outgoing.limit(getattr(properties, "ReceiveMaximum", NO_RECEIVE_MAXIMUM))
+        receive_maximum = getattr(properties, "ReceiveMaximum", NO_RECEIVE_MAXIMUM)
+        self.outgoing.limit(receive_maximum, getattr(properties, "MaximumQoS", HIGHEST_QOS))
         self._news.set()
 
     def _on_disconnect(self, _client: Any, _data: Any, flags: Any, code: Any, _properties: Any) -> None:

@@ -43,6 +43,7 @@ class Outgoing:
         self._stats = stats
         self._log = logging.getLogger(section.channel)
         self._qos = section.qos
+        self._surest = max(1, section.qos)  # QoS of what is told once only, where the broker takes that
         self._flush_soon = flush_soon
         self._expiries: dict[int, Any] = {FOR_EVER: None}
         self._has_properties = made.is_5
@@ -75,8 +76,9 @@ class Outgoing:
         """Say whether all is there."""
         return not self.waiting
 
-    def limit(self, receive_maximum: int) -> None:
-        """Take how many messages of QoS 1 and 2 the broker takes at a time."""
+    def limit(self, receive_maximum: int, highest_qos: int) -> None:
+        """Take how many messages of QoS 1 and 2 the broker takes at a time, and whether it takes such at all."""
+        self._surest = min(max(1, self._qos), highest_qos)
         self._in_flight.limit(receive_maximum)
         self._client.limit_in_flight(min(IN_FLIGHT, receive_maximum))
 
@@ -191,7 +193,7 @@ class Outgoing:
             return self._tell(topic, text, self._expiry(expiry), self._qos) is not None
         if len(self._events) >= RESERVE:
             return False
-        is_there = self._tell(topic, text, self._expiry(expiry), max(1, self._qos))
+        is_there = self._tell(topic, text, self._expiry(expiry), self._surest)
         if is_there is None:
             return False
         self._events.append(is_there)
@@ -214,10 +216,13 @@ class Outgoing:
     # ---- what the broker has missed
 
     def post(self, topic: str, text: str) -> IsThere | None:
-        """Send a message at QoS 1 at the least; return what says that it is there, None where it is too large."""
+        """Send a message, at QoS 1 at the least if the broker takes that; return what says that it is there.
+
+        None where it is too large.
+        """
         if self._is_too_large(topic, text):
             return None
-        self._posted.append(self._publish_once(topic, text, None, max(1, self._qos)))
+        self._posted.append(self._publish_once(topic, text, None, self._surest))
         return self._posted[-1]
 
     @property

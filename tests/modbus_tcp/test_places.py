@@ -9,7 +9,7 @@ import pytest
 
 from gateway.config import ModbusTcpSection
 from gateway.metrics import TcpStats
-from gateway.modbus_tcp.hosts import host_of
+from gateway.modbus_tcp.hosts import host_of, peer_name
 from gateway.modbus_tcp.places import Places, limits_of
 from tests.modbus_tcp.rig import Rig
 from tests.soak import FACTOR
@@ -159,3 +159,17 @@ def test_a_connection_that_finds_no_place_is_cut_and_its_address_is_what_counts(
     wire = rig.connect("10.0.0.2")
     wire.abort()
     assert list(rig.places.taken.values()) == ["10.0.0.1"]
+
+
+@pytest.mark.parametrize(
+    ("peer", "name"),
+    [
+        (("10.0.0.1", 50123), "10.0.0.1:50123"),
+        (("::ffff:10.0.0.1", 50123, 0, 0), "10.0.0.1:50123"),
+        (("2001:db8::7", 50123, 0, 0), "[2001:db8::7]:50123"),
+        (None, "a client that is gone"),
+    ],
+)
+def test_a_client_is_called_by_address_and_port(peer: tuple[object, ...] | None, name: str) -> None:
+    """In the log, as people write it."""
+    assert peer_name(peer) == name

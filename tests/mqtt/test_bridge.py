@@ -365,6 +365,17 @@ async def test_a_broker_that_takes_few_at_a_time_gets_few(broker: Mosquitto, qos
             assert made.stats.connects == 1
 
 
+async def test_a_broker_that_takes_qos_0_alone_hears_of_events(broker: Mosquitto) -> None:
+    """MQTT 5: its maximum QoS counts; the connection stays."""
+    with Mosquitto("allow_anonymous true", "max_qos 0") as plain, Log() as log:
+        async with Subscriber(plain.port) as heard, running(plain.port) as made:
+            await heard.until_payload(STATUS, "online")
+            made.pump.set_link(LinkState.OFFLINE, "unplugged")
+            await heard.until(lambda: f"{ROOT}/event" in heard.newest())
+            assert not log.lines(logging.WARNING)
+            assert made.stats.connects == 1
+
+
 async def test_a_message_too_large_for_the_broker_is_left_out_and_said(broker: Mosquitto) -> None:
     """MQTT 5: the values still go."""
     with Mosquitto("allow_anonymous true", "max_packet_size 150") as small, Log() as log:

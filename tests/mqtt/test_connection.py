@@ -227,6 +227,20 @@ async def test_what_the_broker_must_have_is_acknowledged_beside_values_at_qos_0(
     assert second()
 
 
+async def test_a_broker_that_takes_qos_0_alone_is_sent_nothing_else(wires: Callable[..., Wire]) -> None:
+    """MQTT 5 3.2.2.3.4: else it would disconnect at each event; what is written is there, as far as can be known."""
+    wire = wires(qos=0, connack=b"\x20\x05\x00\x00\x02\x24\x00")  # maximum QoS 0
+    assert wire.outgoing.say("event", "trip", expiry=0, is_event=True)
+    event = wire.outgoing.last_event
+    post = wire.outgoing.post("history", "old")
+    assert post is not None
+    assert (event(), post()) == (False, False)
+    wire.connection.flush()
+    assert wire.written == wire.packet("trip", topic="event") + wire.packet("old", topic="history")
+    assert event()
+    assert post()
+
+
 async def test_identifiers_of_paho_are_none_of_messages_written_here(wires: Callable[..., Wire]) -> None:
     """For as long as a connection lasts."""
     wire = wires()
