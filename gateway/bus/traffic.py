@@ -1,8 +1,8 @@
 """What one line carries, in exchanges and seconds: its polls, and the premise on which their response is reckoned.
 
 Always: every drive answers, each in its model's time at the longest. To the drives that may be commanded goes one
-command a second, a frame and its read-back; FA87 of each is looked at once a second; and each is talked to in time
-for its F803.
+command a second, a frame and its read-back; FA87 of each is looked at once a second, F803, F804 or F808 every ten
+seconds; and each is talked to in time for its F803.
 
 Disturbed besides: one exchange in ten seconds is lost and takes the longest time there is; the drive is asked who it
 is, and all its polls that fell due while it was left alone come at once. And silent drives take their share.
@@ -20,7 +20,9 @@ from gateway.bus.response import Stream, Traffic
 from gateway.bus.schedule import Job
 from gateway.bus.selectors import UNPROVEN_EVERY
 from gateway.bus.work import Task, Work
+from gateway.control import watchdog
 from gateway.control.resets import MARK, MARK_EVERY
+from gateway.control.timeout_looks import LOOK_EVERY
 from gateway.protocol.pdu import Identify, ReadWords, Request
 from gateway.site import Drive, Line
 
@@ -71,6 +73,8 @@ def _commands(line: Line) -> Iterator[Stream]:
     for drive in controlled:
         if MARK in drive.model.registers:
             yield Stream(MARK_EVERY, _good(line, drive, ReadWords(drive.number, 0)))
+        if watchdog.registers(drive.model):
+            yield Stream(LOOK_EVERY, _good(line, drive, ReadWords(drive.number, 0)))
         timeout = drive.section.communication_timeout if drive.section is not None else None
         interval = (timeout or 0.0) / PER_TIMEOUT
         every = interval - lead if interval >= lead else interval / 2  # as `keepalive` lets a drive fall due

@@ -24,6 +24,7 @@ from gateway.control.results import Results
 from gateway.control.settings import ControlSettings
 from gateway.control.state import DriveState, Standing
 from gateway.control.stored import StoredWrites
+from gateway.control.timeout_looks import TimeoutLooks
 from gateway.control.writes import BadCommand
 from gateway.site import Drive
 
@@ -39,6 +40,7 @@ class DriveControl:
     loss: Loss = field(init=False)
     resets: Resets = field(init=False)
     presence: Presence = field(init=False)
+    timeout_looks: TimeoutLooks = field(init=False)
     errands: Errands = field(init=False)
     _permission: Permission = field(init=False)
     _results: Results = field(default_factory=Results)
@@ -47,8 +49,11 @@ class DriveControl:
         self.loss = Loss(self.state)
         self.resets = Resets(self.state)
         self.presence = Presence(self.state, self.loss, self.resets)
+        self.timeout_looks = TimeoutLooks(self.state, self.presence.set_watchdog)
         self._permission = permission = Permission(self.state, self.loss, self.resets)
-        self.errands = Errands(self.state, self.stored, self.loss, self.resets, permission, self.presence)
+        self.errands = Errands(
+            self.state, self.stored, self.loss, self.resets, self.timeout_looks, permission, self.presence
+        )
 
     # ---- what others look at
 
@@ -127,7 +132,7 @@ class DriveControl:
     def next_time(self) -> float:
         """Return when `tick` or `errands.next` has to be asked again at the latest."""
         waiting = self.state.queue.head.command.deadline if self.state.queue else float("inf")
-        return min(self.loss.next_time(), self.resets.next_time(), waiting)
+        return min(self.loss.next_time(), self.resets.next_time(), self.timeout_looks.next_time(), waiting)
 
     # ---- northbound
 

@@ -14,6 +14,7 @@ from gateway.control.resets import Resets
 from gateway.control.settling import settle
 from gateway.control.state import DriveState, Errand, Standing
 from gateway.control.stored import StoredWrites
+from gateway.control.timeout_looks import TimeoutLooks
 from gateway.errors import Refused
 from gateway.protocol.pdu import Reply, Words
 
@@ -26,6 +27,7 @@ class Errands:
     stored: StoredWrites
     loss: Loss
     resets: Resets
+    timeout_looks: TimeoutLooks
     permission: Permission
     presence: Presence
 
@@ -38,14 +40,18 @@ class Errands:
             return None
         while state.queue:
             head = state.queue.head
-            if not (head.is_begun or head.is_stop) and (look := self.resets.next_look(now)) is not None:
+            if not (head.is_begun or head.is_stop) and (look := self._next_look(now)) is not None:
                 return look  # a queue that never empties does not keep a reset from being seen
             errand = self._next_of(head, now)
             if errand is not None:
                 return errand
             if state.queue and state.queue.head.is_to_be_counted:
                 break
-        return self.loss.next_look(now) or self.resets.next_look(now)
+        return self.loss.next_look(now) or self._next_look(now)
+
+    def _next_look(self, now: float) -> Errand | None:
+        """Return the next look at an armed drive: was it reset, has it still its time-out."""
+        return self.resets.next_look(now) or self.timeout_looks.next(now)
 
     def _next_of(self, execution: Execution, now: float) -> Errand | None:
         """Return the next frame of the command whose turn it is; None where it is over, or waits for the store."""
@@ -108,6 +114,8 @@ class Errands:
         """Take an answer; None where none was to be expected."""
         execution = errand.execution
         if errand.look is not None and isinstance(reply, Words):
+            self.timeout_looks.looked(errand.look, now)
+            self.timeout_looks.seen(errand.look, reply.words[0], now)
             self.loss.seen(errand.look, reply.words[0], now)
             self.resets.seen(errand.look, reply.words[0], now)
             if errand.look.name == "trip_code" and reply.words[0]:
@@ -121,6 +129,7 @@ class Errands:
     def on_refused(self, errand: Errand, refused: Refused, now: float) -> None:
         """Take a refusal."""
         if errand.look is not None:
+            self.timeout_looks.looked(errand.look, now)
             self.resets.refused(errand.look, refused.reason, now)
         if errand.execution is not None:
             errand.execution.on_refused(refused)
@@ -129,6 +138,8 @@ class Errands:
     def on_silence(self, errand: Errand, text: str, now: float) -> None:
         """Take silence, or bytes that are no answer."""
         execution = errand.execution
+        if errand.look is not None:
+            self.timeout_looks.looked(errand.look, now)
         if execution is None or execution.is_over:
             return
         if not execution.write.is_answered:  # noise where silence was expected

@@ -49,7 +49,7 @@ class Presence:
             self.loss.found_running(now)
         else:
             self.loss.found_standing()
-        self._set_watchdog(now)
+        self.set_watchdog(now)
 
     def on_offline(self, reason: str, now: float) -> None:
         """Take that the link is lost: the drive is disarmed, and nothing that waited is sent later."""
@@ -81,7 +81,7 @@ class Presence:
         if not was_tripped:
             state.disarm("the drive has tripped")
 
-    def _set_watchdog(self, now: float) -> None:
+    def set_watchdog(self, now: float) -> None:
         """Set F804, F808 and F803 as configured where they read otherwise: nobody has to ask for that."""
         state, model, codec = self.state, self.state.drive.model, self.state.drive.codec
         for register, word in watchdog.wanted(state.settings, model, state.facts):

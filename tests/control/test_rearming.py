@@ -9,6 +9,8 @@ import pytest
 
 from gateway.control.command import Command, Reason, Status, Verb
 from gateway.control.resets import MARK_AGAIN, MARK_EVERY
+from gateway.control.state import Standing
+from gateway.control.timeout_looks import LOOK_EVERY
 from gateway.errors import Refusal
 from gateway.protocol.checksum import crc16
 from tests.control.test_control_line import DASHBOARD, Stage, play, started
@@ -238,5 +240,76 @@ def test_a_drive_that_cannot_tell_whether_it_was_reset_is_asked_again_a_little_l
         assert resets.next_look(due + MARK_AGAIN / 2) is None
         assert resets.next_time() == due + MARK_AGAIN
         assert resets.next_look(due + MARK_AGAIN) is not None
+
+    play(script)
+
+
+UNCONFIGURED = {"communication_timeout": None, "timeout_action": None}
+SET_AT_THE_DRIVE = {"communication_timeout": 150, "timeout_action": 2}  # 15.0 s, trip
+
+
+@pytest.mark.hazard("H06")
+@pytest.mark.parametrize(("name", "word"), [("communication_timeout", 0), ("timeout_action", 0)])
+def test_a_time_out_that_is_switched_off_at_the_panel_is_seen_and_set_again(name: str, word: int) -> None:
+    """Nobody would stop the motor any more: the drive is disarmed, and armed anew when it has its time-out again."""
+
+    async def script(stage: Stage) -> None:
+        await started(stage)
+        beating = asyncio.create_task(stage.beat_for(120.0))
+        memory = stage.bench.drive.inverter.memory
+        before = memory.word(name)
+        memory.set_by_panel(name, word)
+        await asyncio.sleep(3 * LOOK_EVERY + 1)
+        assert memory.word(name) == before
+        assert [event for event in stage.events if event[1] == "watchdog" and "changed by somebody else" in event[2]]
+        assert stage.door.controls["d1"].standing is Standing.DISARMED
+        assert (await stage.ask(Verb.ARM)).status is Status.DONE
+        assert (await stage.ask(Verb.RUN, value="20")).status is Status.DONE
+        beating.cancel()
+
+    play(script)
+
+
+@pytest.mark.hazard("H06")
+def test_a_time_out_that_is_not_configured_is_looked_at_all_the_same() -> None:
+    """Switched off: disarmed, and not armed again. Another time that stops the motor too is taken as it is."""
+
+    async def script(stage: Stage) -> None:
+        await started(stage)
+        beating = asyncio.create_task(stage.beat_for(120.0))
+        control, memory = stage.door.controls["d1"], stage.bench.drive.inverter.memory
+        memory.set_by_panel("communication_timeout", 300)
+        await asyncio.sleep(3 * LOOK_EVERY + 1)
+        assert (control.standing, control.state.timeout) == (Standing.ARMED, 30.0)
+        memory.set_by_panel("communication_timeout", 0)
+        await asyncio.sleep(3 * LOOK_EVERY + 1)
+        assert control.standing is Standing.DISARMED
+        refused = await stage.ask(Verb.ARM)
+        assert (refused.status, refused.reason) == (Status.REFUSED, Reason.NO_WATCHDOG)
+        assert memory.word("communication_timeout") == 0
+        beating.cancel()
+
+    play(script, UNCONFIGURED, registers=SET_AT_THE_DRIVE)
+
+
+def test_looks_at_a_time_out_are_seldom() -> None:
+    """One register in ten seconds, whatever is answered."""
+
+    async def script(stage: Stage) -> None:
+        await started(stage)
+        looks, now = stage.door.controls["d1"].timeout_looks, asyncio.get_running_loop().time()
+        assert looks.next(now) is None
+        due = now + LOOK_EVERY
+        seen = []
+        for _ in range(3):
+            errand = looks.next(due)
+            assert errand is not None
+            assert errand is not looks.next(due)  # asked twice, sent once
+            assert errand.look is not None
+            seen.append(errand.look.name)
+            looks.looked(errand.look, due)
+            assert looks.next(due) is None
+            due = looks.next_time()
+        assert sorted(seen) == ["communication_timeout", "timeout_action", "timeout_detection"]
 
     play(script)
