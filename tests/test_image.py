@@ -115,16 +115,6 @@ def test_an_answer_of_a_lost_drive_is_forgotten_when_it_is_lost_again() -> None:
     assert image.read(0xFD00, 1, NOW) is Missing.NOT_FRESH
 
 
-def test_an_answer_without_a_value_of_the_image_is_no_change_of_the_link() -> None:
-    """A look at a register that is not polled: nobody is told, though the drive was heard."""
-    image = online()
-    told: list[tuple[str, ...]] = []
-    image.subscribe(lambda _image, names: told.append(tuple(names)))
-    image.apply([(0xFA00, 0xC400)], NOW + 1, WALL + 1)
-    assert told == []
-    assert image.changed_at == NOW + 1
-
-
 def test_a_suspect_drive_is_still_believed() -> None:
     """One lost frame makes nothing stale."""
     image = online()

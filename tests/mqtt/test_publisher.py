@@ -141,6 +141,21 @@ def test_an_answer_without_news_says_nothing() -> None:
 
 
 @pytest.mark.hazard("H21")
+def test_an_answer_without_a_value_of_the_image_says_nothing() -> None:
+    """A look at a register that is not polled; a change of the link is said as ever."""
+    made = Published()
+    made.pump.set_link(LinkState.ONLINE)
+    made.connect()
+    made.read(output_frequency=6000)
+    made.broker.topics()
+    made.pump.apply([(0xFA99, 1)], made.now, made.now)
+    made.settle()
+    assert made.broker.topics() == []
+    made.pump.set_tripped(True)
+    made.settle()
+    assert f"{ROOT}/tripped" in made.broker.topics()
+
+
 def test_the_state_shows_one_answer_whole() -> None:
     """All words of an answer stand in the same state."""
     made = Published(publish=["state"])
