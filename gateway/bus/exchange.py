@@ -113,6 +113,8 @@ class Exchanger:
             verdict, note = Verdict.NOT_AWAITED, ""
         except (Refused, LineDown) as error:
             verdict, note = Verdict.of(error), str(error)
+            if isinstance(error, Refused):
+                self._late.in_time(request.number)
             raise
         finally:
             done = self._clock.now()

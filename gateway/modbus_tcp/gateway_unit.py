@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 
 from gateway.image import DriveImage, Image, LinkState, Missing, Quality, Reading
 from gateway.metrics import Stats
@@ -33,6 +34,7 @@ VALUES = (
     "output_terminals",
 )
 WORD = struct.Struct(">H")
+REVISION = attrgetter("revision")
 AHEAD = 0.000_001  # seconds that a kept age ends before its millisecond does: more than a time is rounded by
 
 
@@ -132,11 +134,6 @@ class GatewayUnit:
         self._version = version_number(identity["version"])
         self._blocks = [DriveBlock(drive) for drive in image.drives]
         self._drives_end = REGISTERS_PER_DRIVE * len(self._blocks)
-        self._changes = 0  # of all drives together
-        image.subscribe(self._on_change)
-
-    def _on_change(self, _image: DriveImage, _names: Sequence[str]) -> None:
-        self._changes += 1
 
     def reading(self, start: int, count: int) -> Reading:
         """Return what reads these registers again and again."""
@@ -147,16 +144,21 @@ class GatewayUnit:
         return self._user_map.reading(start, count)
 
     def _reading(self, start: int, count: int) -> Reading:
-        """Return what reads the same registers of drives again: built anew when a drive or an age has changed."""
-        blocks = self._blocks[start // REGISTERS_PER_DRIVE : -(-(start + count) // REGISTERS_PER_DRIVE)]
+        """Return what reads the same registers of drives again: built anew when a drive or an age has changed.
+
+        An answer that brings no value is told to nobody, and yet the drive was heard: hence the revisions.
+        """
+        asked = slice(start // REGISTERS_PER_DRIVE, -(-(start + count) // REGISTERS_PER_DRIVE))
+        blocks, images = self._blocks[asked], self._image.drives[asked]
         words: bytes | Missing = b""
-        changes, holds_until = -1, 0.0
+        revisions, holds_until = -1, 0.0
 
         def read(now: float) -> bytes | Missing:
-            nonlocal words, changes, holds_until
-            if now > holds_until or changes != self._changes:
+            nonlocal words, revisions, holds_until
+            current = sum(map(REVISION, images))
+            if now > holds_until or revisions != current:
                 words = self.read(start, count, now)
-                changes = self._changes
+                revisions = current
                 holds_until = min([block.holds_until(now) for block in blocks])
             return words
 

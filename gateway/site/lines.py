@@ -38,8 +38,8 @@ def _wrong_groups(line: Mapping[str, Any], label: str, once: Once) -> Iterator[s
             continue
         key = f"{label}.group[{i}]"
         yield from only_once(once, "group name", group.get("name"), f"{key}.name")
-        members = group.get("drives")
-        members = members if isinstance(members, list) else []
+        given = group.get("drives")
+        members = [member for member in given if isinstance(member, str)] if isinstance(given, list) else []
         for member in dict.fromkeys(members):
             if member not in names:
                 known = ", ".join(map(str, names))

@@ -8,7 +8,7 @@ import pytest
 
 from gateway.bus.exchange import Exchanger
 from gateway.bus.lateness import LONGEST, LateAnswers
-from gateway.errors import BadReply, NoReply
+from gateway.errors import BadReply, NoReply, Refused
 from gateway.image import LinkState
 from gateway.metrics import LineStats
 from gateway.protocol.codec import Codec
@@ -19,6 +19,7 @@ from tests import virtual
 from tests.bus.rig import Bench, bench, nc3, run
 
 FREQUENCY = 0xFD00
+NOWHERE = 0x9999  # no such number
 PROCESSING = 0.015  # seconds
 LATE = 0.2  # seconds
 REQUEST = ReadWords(1, FREQUENCY)
@@ -61,6 +62,24 @@ def test_an_answer_in_time_clears_a_drive_of_lateness(protocol: str) -> None:
             await exchanger.exchange(codec, REQUEST, PROCESSING)
         await asyncio.sleep(2 * LATE)
         await exchanger.exchange(codec, REQUEST, PROCESSING)
+        made.wire.faults.add(Fault(Kind.CUT))
+        with pytest.raises(NoReply, match=r"no answer$"):
+            await exchanger.exchange(codec, REQUEST, PROCESSING)
+
+    virtual.run(main())
+
+
+@every_protocol
+def test_a_refusal_in_time_clears_a_drive_of_lateness(protocol: str) -> None:
+    """A drive that says no is heard as well."""
+
+    async def main() -> None:
+        made, exchanger, codec = await line_of(protocol, Fault(Kind.LATE, value=LATE, count=1))
+        with pytest.raises(NoReply):
+            await exchanger.exchange(codec, REQUEST, PROCESSING)
+        await asyncio.sleep(2 * LATE)
+        with pytest.raises(Refused):
+            await exchanger.exchange(codec, ReadWords(1, NOWHERE), PROCESSING)
         made.wire.faults.add(Fault(Kind.CUT))
         with pytest.raises(NoReply, match=r"no answer$"):
             await exchanger.exchange(codec, REQUEST, PROCESSING)

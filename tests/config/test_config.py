@@ -138,6 +138,7 @@ DRIVE = ("line", 0, "drive", 0)
         (("line", 0, "group"), [{"name": "g", "drives": ["pump-9"]}], "no drive 'pump-9' on this line; known: pump"),
         (("line", 0, "group"), [{"name": "g", "drives": ["pump-1", "pump-1"]}], "named more than once"),
         (("line", 0, "group"), [{"name": "g", "drives": ["pump-1"]}] * 2, "group name 'g' is taken by"),
+        (("line", 0, "group"), [{"name": "g", "drives": [{"name": "pump-1"}]}], "drives[0]"),
         ((*DRIVE, "number"), 2, "MODBUS-RTU number on line a 2 is taken by"),
         ((*DRIVE, "number"), "1", "valid integer"),
         ((*DRIVE, "unit"), 255, "less than or equal to 247"),

@@ -198,6 +198,19 @@ def cut(told: bytes | Missing) -> bytes:
     return told
 
 
+@pytest.mark.parametrize("before", [0.0004, 70.0])
+def test_what_is_read_again_knows_of_an_answer_that_brought_no_value(before: float) -> None:
+    """The gateway looks after an armed drive so: nobody is told, and its age begins anew, saturated or not."""
+    image = online(1, 2)
+    served = unit(image)
+    again = served.reading(0, 32)
+    later = NOW + 60.0 + before
+    assert again(later) == served.read(0, 32, later)
+    image.drives[1].apply([(0x0001, 0)], later, later)
+    assert again(later) == served.read(0, 32, later)
+    assert words(served, 18, 1, later) == (0,)
+
+
 def test_a_user_map_beside_the_compact_one_is_read_again_by_its_own_way() -> None:
     """Counters and holes are read each time."""
     image = online(1)
