@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
 
 from gateway.metrics import MqttStats
 from gateway.mqtt import packets
@@ -52,7 +52,7 @@ class Outgoing:
         self._batches: deque[Batch] = deque()  # what the socket has not taken, with that one
         self._in_batches = 0  # messages in them
         self._in_flight = InFlight()
-        self._of_paho: deque[Any] = deque()  # messages of QoS 2
+        self._of_paho: deque[IsThere] = deque()  # messages of QoS 2
         self._told: deque[IsThere] = deque()  # messages that tell what became of commands
         self._events: deque[IsThere] = deque()  # those that the broker has to acknowledge, whatever `qos` is
         self._posted: deque[IsThere] = deque()  # of what the broker has missed
@@ -98,11 +98,12 @@ class Outgoing:
         self._publish(topic, payload, retain=False, properties=None)
         return True
 
-    def _is_too_large(self, topic: str, text: str | bytes) -> bool:
+    def _is_too_large(self, topic: str, text: str | bytes, more: int = 0) -> bool:
+        """Say whether the broker does not take it; `more`: bytes of properties whose size others have in hand."""
         if self.largest is None:
             return False
         size = len(text if isinstance(text, bytes) else text.encode())
-        if len(topic) + size + LARGEST_OVERHEAD <= self.largest:
+        if len(topic.encode()) + size + more + LARGEST_OVERHEAD <= self.largest:
             return False
         self._log.warning("%s: larger than the %d bytes that the broker takes", topic, self.largest)
         return True
@@ -126,9 +127,10 @@ class Outgoing:
 
     def _publish_by_paho(self, topic: str, text: str | bytes, retain: bool, properties: Any) -> IsThere:
         self.push()
-        self._of_paho.append(self._client.publish(topic, text, 2, retain, properties))
+        sent = self._client.publish(topic, text, 2, retain, properties)
+        self._of_paho.append(_never if sent.rc else sent.is_published)  # where paho has no socket any more, it raises
         self._count()
-        return cast("IsThere", self._of_paho[-1].is_published)
+        return self._of_paho[-1]
 
     def _add(self, topic: bytes, text: str | bytes, retain: bool, properties: Any, qos: int) -> None:
         """Put a message to those that are written next, or behind those of which some must be there first."""
@@ -203,6 +205,8 @@ class Outgoing:
 
     def reply(self, topic: str, text: str, correlation: bytes) -> bool:
         """Send an answer, and have it written soon; False where too much is on its way."""
+        if self._is_too_large(topic, text, len(correlation)):
+            return False
         return self._tell(topic, text, self._correlate(correlation), self._qos) is not None
 
     def _tell(self, topic: str, text: str, properties: Any, qos: int) -> IsThere | None:
@@ -243,7 +247,7 @@ class Outgoing:
             self._told.clear()
         while self._batches and (is_all_written or self._batches[0].is_written()):
             self._in_batches -= self._batches.popleft().count
-        while self._of_paho and self._of_paho[0].is_published():
+        while self._of_paho and self._of_paho[0]():
             self._of_paho.popleft()
             self.there += 1
         if self._qos == 1:
@@ -258,3 +262,8 @@ class Outgoing:
         """Count what was told and will never be known to be there."""
         self.is_closed = True
         self._stats.untold += len(self._told)
+
+
+def _never() -> bool:
+    """Say of a message that it is not there: nobody will send it."""
+    return False

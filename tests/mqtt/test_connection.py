@@ -256,6 +256,28 @@ async def test_as_many_of_qos_2_go_as_the_broker_takes(wires: Callable[..., Wire
     assert wire.outgoing.waiting == 3
 
 
+@pytest.mark.parametrize("qos", [0, 1, 2])
+async def test_what_is_sent_behind_the_end_of_a_connection_is_not_there(wires: Callable[..., Wire], qos: int) -> None:
+    """A drive may answer in the turn of the loop in which the broker hangs up: no error of ours, and no receipt."""
+    wire = wires(qos=qos)
+    wire.hang_up()
+    wire.send("one")
+    assert wire.outgoing.handed == wire.outgoing.waiting == 1
+    assert wire.outgoing.there == 0
+
+
+async def test_an_answer_is_not_larger_than_the_broker_takes_with_what_identifies_it(
+    wires: Callable[..., Wire],
+) -> None:
+    """Who asks chooses that, and the topic: the broker would end the connection."""
+    wire = wires(connack=b"\x20\x08\x00\x00\x05\x27\x00\x00\x00\xc8")  # at most 200 bytes
+    assert wire.outgoing.reply("t", "x" * 100, bytes(60))
+    assert not wire.outgoing.reply("t", "x" * 100, bytes(80))
+    assert not wire.outgoing.reply("\N{DEGREE SIGN}" * 40, "x" * 100, b"")
+    wire.connection.flush()
+    assert len(wire.written) <= 200
+
+
 # ---- writing
 
 
