@@ -124,6 +124,13 @@ class _Client(paho.Client):
         read, self._given = self._given[:bufsize], self._given[bufsize:]
         return read
 
+    def _handle_connack(self) -> MQTTErrorCode:
+        """Keep the keep-alive where the broker wants none: with 0 paho would take every question for unanswered."""
+        asked = self._keepalive
+        result = super()._handle_connack()
+        self._keepalive = self._keepalive or asked
+        return result
+
     # ---- writing
 
     def write(self, content: bytes) -> int:

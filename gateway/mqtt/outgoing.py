@@ -243,8 +243,8 @@ class Outgoing:
     def count(self, *, is_all_written: bool) -> bool:
         """Let go of what is there; `is_all_written`: the socket has taken everything. Say whether a post is there."""
         posted = len(self._posted)
-        if is_all_written and not self._qos:
-            self._told.clear()
+        if is_all_written and not self._qos and self._told:  # behind an event that waits may stand what is there
+            self._told = deque(is_there for is_there in self._told if not is_there())
         while self._batches and (is_all_written or self._batches[0].is_written()):
             self._in_batches -= self._batches.popleft().count
         while self._of_paho and self._of_paho[0]():

@@ -266,6 +266,35 @@ async def test_what_is_sent_behind_the_end_of_a_connection_is_not_there(wires: C
     assert wire.outgoing.there == 0
 
 
+async def test_an_event_that_is_not_acknowledged_counts_as_untold_at_qos_0(wires: Callable[..., Wire]) -> None:
+    """Values and results are done with when they are written; an event is not, and may not even be written."""
+    wire = wires(qos=0, connack=b"\x20\x06\x00\x00\x03\x21\x00\x01")  # receive maximum 1
+    for text in ("first", "second"):
+        assert wire.outgoing.say("event", text, expiry=0, is_event=True)
+    assert wire.outgoing.say("result", "done", expiry=0)
+    wire.connection.flush()
+    assert wire.written.endswith(b"done")
+    wire.hear(puback(0))
+    wire.connection.abort()
+    assert wire.stats.untold == 1
+
+
+async def test_a_broker_that_wants_no_keep_alive_is_asked_all_the_same(
+    wires: Callable[..., Wire], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """MQTT 5 3.2.2.3.14: 0 is none. A broker that stands still is noticed; a question is no reason to part."""
+    now = 1000.0
+    monkeypatch.setattr(paho.mqtt.client, "time_func", lambda: now)
+    wire = wires(qos=0, connack=b"\x20\x06\x00\x00\x03\x13\x00\x00")
+    wire.send("one")
+    wire.connection.receipts.ask(now)
+    wire.connection.tend()
+    assert wire.connection.lost is None
+    now += 61.0
+    wire.connection.tend()
+    assert wire.connection.lost is not None
+
+
 async def test_an_answer_is_not_larger_than_the_broker_takes_with_what_identifies_it(
     wires: Callable[..., Wire],
 ) -> None:
