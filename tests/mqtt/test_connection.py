@@ -199,13 +199,31 @@ async def test_a_refusal_is_told_once_and_counts_as_an_answer(wires: Callable[..
     assert wire.outgoing.is_empty
 
 
-async def test_an_unknown_reason_code_is_told_as_it_is(wires: Callable[..., Wire]) -> None:
-    """A broker may be newer than this."""
+@pytest.mark.parametrize("code", [0xF0, 0x92])
+async def test_an_unknown_reason_code_is_told_as_it_is(wires: Callable[..., Wire], code: int) -> None:
+    """A broker may be newer than this, or give one that other packets have."""
     wire = wires()
     wire.send("one")
     with Log() as log:
-        wire.hear(puback(0, 0xF0))
-        assert "(reason code F0H)" in log.lines(logging.WARNING)[0]
+        wire.hear(puback(0, code))
+        assert f"(reason code {code:02X}H)" in log.lines(logging.WARNING)[0]
+
+
+async def test_a_refusal_at_qos_2_is_told_and_makes_room_for_the_next(wires: Callable[..., Wire]) -> None:
+    """MQTT 5 4.3.3: nothing more is said of that message, and its identifier is free."""
+    wire = wires(qos=2, connack=b"\x20\x06\x00\x00\x03\x21\x00\x01")  # receive maximum 1
+    wire.send("one", "two")
+    assert b"one" in wire.written
+    with Log() as log:
+        wire.hear(packet(0x50, b"\x00\x01\x87"))
+        assert "Not authorized (reason code 87H)" in log.lines(logging.WARNING)[0]
+    assert b"two" in wire.written
+    wire.hear(packet(0x50, b"\x00\x02\x10"))
+    assert wire.written == packet(0x62, b"\x00\x02")
+    wire.hear(packet(0x70, b"\x00\x02\x92"))
+    assert wire.outgoing.is_empty
+    assert wire.connection.lost is None
+    await wire.connection.wait(0)
 
 
 async def test_what_the_broker_must_have_is_acknowledged_beside_values_at_qos_0(wires: Callable[..., Wire]) -> None:
