@@ -198,7 +198,7 @@ class Outgoing:
         is_there = self._tell(topic, text, self._expiry(expiry), self._surest)
         if is_there is None:
             return False
-        self._events.append(is_there)
+        self._events.append(self._sure(is_there) if is_remembered else is_there)
         if is_remembered:
             self._told.pop()
         return True
@@ -226,8 +226,13 @@ class Outgoing:
         """
         if self._is_too_large(topic, text):
             return None
-        self._posted.append(self._publish_once(topic, text, None, self._surest))
+        self._posted.append(self._sure(self._publish_once(topic, text, None, self._surest)))
         return self._posted[-1]
+
+    def _sure(self, is_there: IsThere) -> IsThere:
+        """Return what says of the last message that the broker has it for certain, at QoS 0 too: see `Receipts`."""
+        mark = self.handed
+        return is_there if self._surest else lambda: self.there >= mark
 
     @property
     def last_event(self) -> IsThere:
