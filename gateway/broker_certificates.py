@@ -38,7 +38,7 @@ class Watch:
         self._certificates = stats.certificates
         self._what, self._path = what, path
         self._stamp: Stamp | None = None
-        self._found: RoleCertificate | None = None
+        self._found: Sequence[RoleCertificate] = ()
         self._said = float("-inf")  # monotonic seconds; anew for another file
 
     def look(self, now: float, wall: float) -> None:
@@ -47,18 +47,19 @@ class Watch:
         if stamp != self._stamp:
             self._stamp, self._said = stamp, float("-inf")
             self._read()
-        if self._found is not None and now - self._said >= DAY:
-            self._warn(self._found, now, wall)
+        if self._found:
+            found = first_to_expire(self._what, self._found, wall)
+            self._certificates[self._what] = found.not_after
+            if now - self._said >= DAY:
+                self._warn(found, now, wall)
 
     def _read(self) -> None:
         try:
-            self._found = first_to_expire(self._what, self._path)
+            self._found = read(self._path)
         except ValueError as error:
-            self._found = None
+            self._found = ()
             self._certificates.pop(self._what, None)
             self._log.warning("%s: %s; when it expires is not known", self._table, error)
-        else:
-            self._certificates[self._what] = self._found.not_after
 
     def _warn(self, found: RoleCertificate, now: float, wall: float) -> None:
         days = (found.not_after - wall) / DAY
@@ -110,23 +111,33 @@ def files(section: BrokerSection) -> Sequence[tuple[str, str]]:
     return [(what, path) for what, path in named if path is not None]
 
 
-def first_to_expire(what: str, path: str) -> RoleCertificate:
-    """Return the gateway's certificate, or the first of the authorities to expire; ValueError says what is wrong."""
+def read(path: str) -> Sequence[RoleCertificate]:
+    """Return the certificates in a file, one at the least; ValueError says what is wrong."""
     try:
         blocks = BLOCK.findall(Path(path).read_text(encoding="ascii", errors="replace"))
         found = [read_certificate(ssl.PEM_cert_to_DER_cert(block)) for block in blocks]
-    except (OSError, BadCertificate) as error:
+    except (OSError, BadCertificate, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error
     if not found:
         raise ValueError(f"{path}: no certificate in it")
-    return found[0] if what == CERTIFICATE else min(found, key=lambda one: one.not_after)
+    return found
+
+
+def first_to_expire(what: str, found: Sequence[RoleCertificate], wall: float) -> RoleCertificate:
+    """Return the gateway's certificate, or of the authorities the first to expire.
+
+    Of several those that hold count: bundles have old ones, as has a file in which one takes the place of another.
+    """
+    if what == CERTIFICATE:
+        return found[0]
+    return min([one for one in found if one.is_valid(wall)] or found, key=lambda one: one.not_after)
 
 
 def report(section: BrokerSection, wall: float) -> Iterator[str]:
     """Say of each file how long it holds at a moment (UTC seconds), or what is wrong with it."""
     for what, path in files(section):
         try:
-            found = first_to_expire(what, path)
+            found = first_to_expire(what, read(path), wall)
         except ValueError as error:
             yield f"WARNING: {section.table}.tls.{what}: {error}"
             continue

@@ -34,7 +34,7 @@ class DriveImage:
         self.identity: Mapping[str, str] = {}
         self.is_tripped: bool | None = None  # by the last answer of any kind; None while that is not known
         self.is_reset_needed = False  # settings wait for a reset of the drive
-        self.bases: dict[str, Decimal] = {}
+        self.bases: dict[str, Decimal] = {}  # replaced as a whole when a drive is known anew
         self.version = 0  # of the words: one more with each answer
         self.revision = 0  # of words and link: one more with each change of either
         self.changed_at = NEVER  # monotonic time of the last answer
@@ -251,18 +251,19 @@ class DriveImage:
         place = self.places[name]
         return place.expires[place.offset]
 
-    def number(self, name: str, word: int) -> Decimal:
-        """Return the engineering value that a word of this value stands for."""
+    def number(self, name: str, word: int, bases: Mapping[str, Decimal] | None = None) -> Decimal:
+        """Return the engineering value that a word of it stands for, by earlier bases where some are given."""
         derived = self.derived.get(name)
         if derived is None:
             return self.points[name].register.decode(word)
         value = self.points[derived.of].register.decode(word)
-        return (value * self.bases[derived.base] / 100).quantize(Decimal(1).scaleb(-derived.digits))
+        base = (self.bases if bases is None else bases)[derived.base]
+        return (value * base / 100).quantize(Decimal(1).scaleb(-derived.digits))
 
-    def show(self, name: str, word: int) -> str:
-        """Return the engineering value as text, with the decimals that it has."""
+    def show(self, name: str, word: int, bases: Mapping[str, Decimal] | None = None) -> str:
+        """Return the engineering value as text, with the decimals that it has; see `number` for `bases`."""
         if name in self.derived:
-            return f"{self.number(name, word):f}"
+            return f"{self.number(name, word, bases):f}"
         return self.points[name].register.format(word)
 
     def unit(self, name: str) -> str:

@@ -124,6 +124,24 @@ def test_a_renewed_certificate_is_seen(plant: Plant, caplog: pytest.LogCaptureFi
     assert "is not valid yet: the broker refuses it; is the clock right?" in caplog.text
 
 
+def test_an_old_authority_beside_one_that_holds_is_no_alarm(plant: Plant, caplog: pytest.LogCaptureFixture) -> None:
+    """The system's bundle has some; and where one takes the place of another, both are in the file for a while."""
+    folder = plant.authority.path.parent / "old"
+    folder.mkdir()
+    both = Authority(folder, ends=40.0).path.read_text(encoding="ascii") + plant.authority.path.read_text("ascii")
+    plant.authority.path.write_text(both, encoding="ascii")
+    plant.issue(300.0)
+    tls = plant.site.config.brokers[0]
+    for day, text in ((0, ""), (15, "expires in 25.0 days: then the broker's certificate is not trusted"), (41, "")):
+        caplog.clear()
+        plant.clock.seconds = day * DAY
+        plant.watches.pulse()
+        assert text in caplog.text if text else caplog.messages == []
+        expires = (plant.stats.brokers["plant"].certificates["ca"] - BEGAN) / DAY
+        assert expires == pytest.approx(365.0 if day == 41 else 40.0, abs=0.1)
+        assert not list(report(tls, BEGAN + day * DAY))[1].startswith("WARNING")
+
+
 def test_metrics_and_the_document_have_the_times(plant: Plant) -> None:
     """By broker, and of Sparkplug's connection; a broker without a certificate has none."""
     plant.watches.pulse()

@@ -21,11 +21,13 @@ from gateway.mqtt import access, payload, reasons, topics
 from gateway.mqtt.connecting import in_thread
 from gateway.mqtt.in_flight import FIRST_ID, IN_FLIGHT
 from gateway.mqtt.made import BrokerAway, LastError, Made
+from gateway.mqtt.packets import FAILURE
 from gateway.mqtt.ws_socket import WebSocket
 
 CONNECT_LIMIT = 5.0  # seconds, for TCP, for the TLS handshake and for that of a WebSocket each
 LARGEST_PACKET = 64 * 1024  # bytes that the broker may send us in one packet
 RECEIVE_MAXIMUM = 20  # messages of QoS 1 and 2 that may be under way to us
+REASON_AT = 2  # bytes of its packet identifier stand before the reason code of a PUBREC (MQTT 5 3.5.2)
 LEFT_WITH_WILL = ReasonCode(PacketTypes.DISCONNECT, "Disconnect with will message")
 SEND_BUFFER = 256 * 1024  # bytes; what the kernel holds for a broker that does not read, no queue can bound
 RECEIVE_BUFFER = 64 * 1024  # bytes; of a flood no more is to be ahead of a stop, and no packet to grow unseen
@@ -123,6 +125,20 @@ class _Client(paho.Client):
             raise BlockingIOError
         read, self._given = self._given[:bufsize], self._given[bufsize:]
         return read
+
+    def _handle_connack(self) -> MQTTErrorCode:
+        """Keep the keep-alive where the broker wants none: with 0 paho would take every question for unanswered."""
+        asked = self._keepalive
+        result = super()._handle_connack()
+        self._keepalive = self._keepalive or asked
+        return result
+
+    def _handle_pubrec(self) -> MQTTErrorCode:
+        """Take a refusal of QoS 2 for the end of it (MQTT 5 4.3.3); to paho it is none."""
+        packet = self._in_packet["packet"]
+        if self._protocol == MQTTProtocolVersion.MQTTv5 and len(packet) > REASON_AT and packet[REASON_AT] >= FAILURE:
+            return self._handle_pubackcomp("PUBACK")  # which has the same reason codes
+        return super()._handle_pubrec()
 
     # ---- writing
 
@@ -237,7 +253,7 @@ def _reason_name(code: int) -> str:
     """Name the reason code of a PUBACK."""
     try:
         return ReasonCode(PacketTypes.PUBACK, identifier=code).getName()
-    except KeyError:
+    except (KeyError, ValueError):  # ValueError: of other packets alone
         return "Unknown reason"
 
 

@@ -15,6 +15,7 @@ from gateway.metrics import MqttStats
 from gateway.mqtt import reasons
 from gateway.mqtt.made import BrokerAway, Made, Terms, close
 from gateway.mqtt.outgoing import Outgoing
+from gateway.mqtt.packets import FAILURE
 from gateway.mqtt.receipts import Receipts
 from gateway.mqtt.reception import Ears, Reception
 from gateway.mqtt.socket_loop import SocketLoop
@@ -24,7 +25,6 @@ ANSWER_LIMIT = 10.0  # seconds from CONNECT to CONNACK
 LEAVE_LIMIT = 2.0  # seconds from the last words to the end
 HIGHEST_QOS = 2  # where CONNACK says nothing else (MQTT 5 3.2.2.3.4)
 NO_RECEIVE_MAXIMUM = 65_535  # messages of QoS 1 and 2 under way (MQTT 5 3.2.2.3.3)
-FAILURE = 0x80  # reason codes from here on say that it was not done (MQTT 5 2.4)
 CALLBACKS = (
     "on_connect",
     "on_disconnect",

@@ -18,6 +18,7 @@ P = TypeVar("P")
 WINDOW = 8  # parcels on their way at a time: Mosquitto takes 20 as installed, and the rest is for what is live
 FETCHED = 100  # readings that are asked for at a time
 BURST = 0.05  # seconds that sending may lag behind its pace and catch up with
+WHILE_FULL = 0.2  # seconds between looks whether the broker has any of what is under way; see `Receipts` for QoS 0
 ASK_AGAIN = 1.0  # seconds, after there was nothing to be sent
 
 
@@ -138,5 +139,5 @@ class Forwarder(Generic[P]):
     def patience(self, now: float, most: float) -> float:
         """Return for how many seconds nothing need be looked at here, at the most so many."""
         if self._parcels:
-            return most if self.is_full else min(most, max(0.0, self._free_at - now))
+            return min(most, WHILE_FULL if self.is_full else max(0.0, self._free_at - now))
         return most if self._is_asking else min(most, max(0.0, self._ask_at - now))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
 
 from gateway.metrics import MqttStats
 from gateway.mqtt import packets
@@ -52,7 +52,7 @@ class Outgoing:
         self._batches: deque[Batch] = deque()  # what the socket has not taken, with that one
         self._in_batches = 0  # messages in them
         self._in_flight = InFlight()
-        self._of_paho: deque[Any] = deque()  # messages of QoS 2
+        self._of_paho: deque[IsThere] = deque()  # messages of QoS 2
         self._told: deque[IsThere] = deque()  # messages that tell what became of commands
         self._events: deque[IsThere] = deque()  # those that the broker has to acknowledge, whatever `qos` is
         self._posted: deque[IsThere] = deque()  # of what the broker has missed
@@ -98,11 +98,12 @@ class Outgoing:
         self._publish(topic, payload, retain=False, properties=None)
         return True
 
-    def _is_too_large(self, topic: str, text: str | bytes) -> bool:
+    def _is_too_large(self, topic: str, text: str | bytes, more: int = 0) -> bool:
+        """Say whether the broker does not take it; `more`: bytes of properties whose size others have in hand."""
         if self.largest is None:
             return False
         size = len(text if isinstance(text, bytes) else text.encode())
-        if len(topic) + size + LARGEST_OVERHEAD <= self.largest:
+        if len(topic.encode()) + size + more + LARGEST_OVERHEAD <= self.largest:
             return False
         self._log.warning("%s: larger than the %d bytes that the broker takes", topic, self.largest)
         return True
@@ -126,9 +127,10 @@ class Outgoing:
 
     def _publish_by_paho(self, topic: str, text: str | bytes, retain: bool, properties: Any) -> IsThere:
         self.push()
-        self._of_paho.append(self._client.publish(topic, text, 2, retain, properties))
+        sent = self._client.publish(topic, text, 2, retain, properties)
+        self._of_paho.append(_never if sent.rc else sent.is_published)  # where paho has no socket any more, it raises
         self._count()
-        return cast("IsThere", self._of_paho[-1].is_published)
+        return self._of_paho[-1]
 
     def _add(self, topic: bytes, text: str | bytes, retain: bool, properties: Any, qos: int) -> None:
         """Put a message to those that are written next, or behind those of which some must be there first."""
@@ -196,13 +198,15 @@ class Outgoing:
         is_there = self._tell(topic, text, self._expiry(expiry), self._surest)
         if is_there is None:
             return False
-        self._events.append(is_there)
+        self._events.append(self._sure(is_there) if is_remembered else is_there)
         if is_remembered:
             self._told.pop()
         return True
 
     def reply(self, topic: str, text: str, correlation: bytes) -> bool:
         """Send an answer, and have it written soon; False where too much is on its way."""
+        if self._is_too_large(topic, text, len(correlation)):
+            return False
         return self._tell(topic, text, self._correlate(correlation), self._qos) is not None
 
     def _tell(self, topic: str, text: str, properties: Any, qos: int) -> IsThere | None:
@@ -222,8 +226,13 @@ class Outgoing:
         """
         if self._is_too_large(topic, text):
             return None
-        self._posted.append(self._publish_once(topic, text, None, self._surest))
+        self._posted.append(self._sure(self._publish_once(topic, text, None, self._surest)))
         return self._posted[-1]
+
+    def _sure(self, is_there: IsThere) -> IsThere:
+        """Return what says of the last message that the broker has it for certain, at QoS 0 too: see `Receipts`."""
+        mark = self.handed
+        return is_there if self._surest else lambda: self.there >= mark
 
     @property
     def last_event(self) -> IsThere:
@@ -239,11 +248,11 @@ class Outgoing:
     def count(self, *, is_all_written: bool) -> bool:
         """Let go of what is there; `is_all_written`: the socket has taken everything. Say whether a post is there."""
         posted = len(self._posted)
-        if is_all_written and not self._qos:
-            self._told.clear()
+        if is_all_written and not self._qos and self._told:  # behind an event that waits may stand what is there
+            self._told = deque(is_there for is_there in self._told if not is_there())
         while self._batches and (is_all_written or self._batches[0].is_written()):
             self._in_batches -= self._batches.popleft().count
-        while self._of_paho and self._of_paho[0].is_published():
+        while self._of_paho and self._of_paho[0]():
             self._of_paho.popleft()
             self.there += 1
         if self._qos == 1:
@@ -258,3 +267,8 @@ class Outgoing:
         """Count what was told and will never be known to be there."""
         self.is_closed = True
         self._stats.untold += len(self._told)
+
+
+def _never() -> bool:
+    """Say of a message that it is not there: nobody will send it."""
+    return False

@@ -14,6 +14,7 @@ PUBLISH = 0x30  # MQTT 5 3.3.1; as QoS 0 its lower half is RETAIN alone
 RETAIN = 0x01
 AT_LEAST_ONCE = 0x02  # QoS 1
 PUBACK = 0x40
+FAILURE = 0x80  # reason codes from here on say that it was not done (MQTT 5 2.4)
 LONGEST_HEAD = 6  # bytes before what a packet says; a length that takes them all is none
 DISCONNECT = 0xE0
 TOGETHER = 64 * 1024  # bytes that are joined: what waits for a slow broker is not copied again and again

@@ -60,15 +60,15 @@ def left_behind(quality: Quality) -> Quality:
 
 def timestamp(wall: float) -> str:
     """Return UTC seconds as ISO 8601 with milliseconds: "2026-03-01T12:00:00.250Z"."""
-    fraction, second = math.modf(wall)
-    microsecond = round(fraction * MICROSECONDS)
+    second = math.floor(wall)
+    microsecond = round((wall - second) * MICROSECONDS)
     if microsecond == MICROSECONDS:
         second, microsecond = second + 1, 0
     return f"{_second(second)}.{microsecond // IN_MILLISECOND:03d}Z"
 
 
 @lru_cache(KEPT_SECONDS)
-def _second(wall: float) -> str:
+def _second(wall: int) -> str:
     """Return whole UTC seconds up to their point: readings of the same second share all but the milliseconds."""
     return datetime.fromtimestamp(wall, UTC).isoformat(timespec="seconds").removesuffix("+00:00")
 

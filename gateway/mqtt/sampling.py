@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from decimal import Decimal
 from typing import NamedTuple
 
 from gateway.backlog import HistoricalReading, Kind, milliseconds
@@ -19,10 +20,11 @@ from gateway.mqtt.report import Report
 class Taken(NamedTuple):
     """What one answer brought of a drive, as words: cheap to make, since most of it the broker gets at once.
 
-    `ms` is when that was, in milliseconds of UTC.
+    `ms` is when that was, in milliseconds of UTC. `bases` are those of then: a drive that comes back may have others.
     """
 
     image: DriveImage
+    bases: Mapping[str, Decimal]
     ms: int
     words: Sequence[tuple[str, int, Quality]]
 
@@ -31,7 +33,7 @@ class Taken(NamedTuple):
         image, values, texts, qualities = self.image, {}, {}, {}
         for name, word, quality in self.words:
             is_good = quality is Quality.GOOD
-            values[name] = image.show(name, word) if is_good else None
+            values[name] = image.show(name, word, self.bases) if is_good else None
             text = image.text(name, word) if is_good else None
             if not is_good:
                 qualities[name] = quality.word
@@ -71,7 +73,7 @@ class Sampler:
             if said.is_due(word, Quality.GOOD, now):
                 said.note(word, Quality.GOOD, now)
                 found.append((name, word, Quality.GOOD))
-        return Taken(image, milliseconds(image.newest_wall or wall), found) if found else None
+        return Taken(image, image.bases, milliseconds(image.newest_wall or wall), found) if found else None
 
     def _take(self, names: Sequence[str], now: float, wall: float) -> Taken | None:
         """Take values of which each may be of another quality and age."""
@@ -85,7 +87,7 @@ class Sampler:
             found.append((name, word, quality))
             if quality is Quality.GOOD:
                 newest = max(newest, read_at)
-        return Taken(self._image, milliseconds(newest or wall), found) if found else None
+        return Taken(self._image, self._image.bases, milliseconds(newest or wall), found) if found else None
 
     def release(self, now: float, wall: float) -> Taken | None:
         """Take what had to wait for its turn, when that has come."""

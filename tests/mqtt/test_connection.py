@@ -199,13 +199,31 @@ async def test_a_refusal_is_told_once_and_counts_as_an_answer(wires: Callable[..
     assert wire.outgoing.is_empty
 
 
-async def test_an_unknown_reason_code_is_told_as_it_is(wires: Callable[..., Wire]) -> None:
-    """A broker may be newer than this."""
+@pytest.mark.parametrize("code", [0xF0, 0x92])
+async def test_an_unknown_reason_code_is_told_as_it_is(wires: Callable[..., Wire], code: int) -> None:
+    """A broker may be newer than this, or give one that other packets have."""
     wire = wires()
     wire.send("one")
     with Log() as log:
-        wire.hear(puback(0, 0xF0))
-        assert "(reason code F0H)" in log.lines(logging.WARNING)[0]
+        wire.hear(puback(0, code))
+        assert f"(reason code {code:02X}H)" in log.lines(logging.WARNING)[0]
+
+
+async def test_a_refusal_at_qos_2_is_told_and_makes_room_for_the_next(wires: Callable[..., Wire]) -> None:
+    """MQTT 5 4.3.3: nothing more is said of that message, and its identifier is free."""
+    wire = wires(qos=2, connack=b"\x20\x06\x00\x00\x03\x21\x00\x01")  # receive maximum 1
+    wire.send("one", "two")
+    assert b"one" in wire.written
+    with Log() as log:
+        wire.hear(packet(0x50, b"\x00\x01\x87"))
+        assert "Not authorized (reason code 87H)" in log.lines(logging.WARNING)[0]
+    assert b"two" in wire.written
+    wire.hear(packet(0x50, b"\x00\x02\x10"))
+    assert wire.written == packet(0x62, b"\x00\x02")
+    wire.hear(packet(0x70, b"\x00\x02\x92"))
+    assert wire.outgoing.is_empty
+    assert wire.connection.lost is None
+    await wire.connection.wait(0)
 
 
 async def test_what_the_broker_must_have_is_acknowledged_beside_values_at_qos_0(wires: Callable[..., Wire]) -> None:
@@ -228,17 +246,15 @@ async def test_what_the_broker_must_have_is_acknowledged_beside_values_at_qos_0(
 
 
 async def test_a_broker_that_takes_qos_0_alone_is_sent_nothing_else(wires: Callable[..., Wire]) -> None:
-    """MQTT 5 3.2.2.3.4: else it would disconnect at each event; what is written is there, as far as can be known."""
+    """MQTT 5 3.2.2.3.4: else it would disconnect at each event, which is there when it is written."""
     wire = wires(qos=0, connack=b"\x20\x05\x00\x00\x02\x24\x00")  # maximum QoS 0
     assert wire.outgoing.say("event", "trip", expiry=0, is_event=True)
     event = wire.outgoing.last_event
-    post = wire.outgoing.post("history", "old")
-    assert post is not None
-    assert (event(), post()) == (False, False)
+    assert wire.outgoing.post("history", "old") is not None
+    assert not event()
     wire.connection.flush()
     assert wire.written == wire.packet("trip", topic="event") + wire.packet("old", topic="history")
     assert event()
-    assert post()
 
 
 async def test_identifiers_of_paho_are_none_of_messages_written_here(wires: Callable[..., Wire]) -> None:
@@ -254,6 +270,76 @@ async def test_as_many_of_qos_2_go_as_the_broker_takes(wires: Callable[..., Wire
     wire.send("one", "two", "three")
     assert wire.written.count(b"t") == 2 + 1, "two topics, and the t of two"
     assert wire.outgoing.waiting == 3
+
+
+@pytest.mark.parametrize("qos", [0, 1, 2])
+async def test_what_is_sent_behind_the_end_of_a_connection_is_not_there(wires: Callable[..., Wire], qos: int) -> None:
+    """A drive may answer in the turn of the loop in which the broker hangs up: no error of ours, and no receipt."""
+    wire = wires(qos=qos)
+    wire.hang_up()
+    wire.send("one")
+    assert wire.outgoing.handed == wire.outgoing.waiting == 1
+    assert wire.outgoing.there == 0
+
+
+async def test_what_was_missed_is_not_there_before_a_broker_of_qos_0_alone_has_read_it(
+    wires: Callable[..., Wire],
+) -> None:
+    """Else it would be let go of while the kernel has it, and be lost with the connection."""
+    wire = wires(qos=0, connack=b"\x20\x05\x00\x00\x02\x24\x00")  # maximum QoS 0
+    is_there = wire.outgoing.post("history", "50.00")
+    assert is_there is not None
+    assert wire.outgoing.say("event", "trip", expiry=0, is_event=True, is_remembered=True)
+    event_is_there = wire.outgoing.last_event
+    wire.connection.flush()
+    assert b"50.00" in wire.written
+    assert (is_there(), event_is_there()) == (False, False)
+    wire.connection.receipts.ask(0.0)
+    wire.connection.flush()
+    assert wire.written == PINGREQ
+    wire.hear(PINGRESP)
+    assert (is_there(), event_is_there()) == (True, True)
+
+
+async def test_an_event_that_is_not_acknowledged_counts_as_untold_at_qos_0(wires: Callable[..., Wire]) -> None:
+    """Values and results are done with when they are written; an event is not, and may not even be written."""
+    wire = wires(qos=0, connack=b"\x20\x06\x00\x00\x03\x21\x00\x01")  # receive maximum 1
+    for text in ("first", "second"):
+        assert wire.outgoing.say("event", text, expiry=0, is_event=True)
+    assert wire.outgoing.say("result", "done", expiry=0)
+    wire.connection.flush()
+    assert wire.written.endswith(b"done")
+    wire.hear(puback(0))
+    wire.connection.abort()
+    assert wire.stats.untold == 1
+
+
+async def test_a_broker_that_wants_no_keep_alive_is_asked_all_the_same(
+    wires: Callable[..., Wire], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """MQTT 5 3.2.2.3.14: 0 is none. A broker that stands still is noticed; a question is no reason to part."""
+    now = 1000.0
+    monkeypatch.setattr(paho.mqtt.client, "time_func", lambda: now)
+    wire = wires(qos=0, connack=b"\x20\x06\x00\x00\x03\x13\x00\x00")
+    wire.send("one")
+    wire.connection.receipts.ask(now)
+    wire.connection.tend()
+    assert wire.connection.lost is None
+    now += 61.0
+    wire.connection.tend()
+    assert wire.connection.lost is not None
+
+
+async def test_an_answer_is_not_larger_than_the_broker_takes_with_what_identifies_it(
+    wires: Callable[..., Wire],
+) -> None:
+    """Who asks chooses that, and the topic: the broker would end the connection."""
+    wire = wires(connack=b"\x20\x08\x00\x00\x05\x27\x00\x00\x00\xc8")  # at most 200 bytes
+    assert wire.outgoing.reply("t", "x" * 100, bytes(60))
+    assert not wire.outgoing.reply("t", "x" * 100, bytes(80))
+    assert not wire.outgoing.reply("\N{DEGREE SIGN}" * 40, "x" * 100, b"")
+    wire.connection.flush()
+    assert len(wire.written) <= 200
 
 
 # ---- writing

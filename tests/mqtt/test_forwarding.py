@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from gateway.backlog import HistoricalReading, Kept, Kind
-from gateway.mqtt.forwarding import ASK_AGAIN, BURST, FETCHED, WINDOW, Forwarder, Parcel
+from gateway.mqtt.forwarding import ASK_AGAIN, BURST, FETCHED, WHILE_FULL, WINDOW, Forwarder, Parcel
 from tests.soak import FACTOR
 
 RATE = 100.0  # values a second
@@ -159,7 +159,7 @@ TestForwarder = Machine.TestCase
 
 
 def test_it_says_when_it_is_to_be_looked_at_again() -> None:
-    """At its pace; when the backlog was empty after a while; with a full window when something happens."""
+    """At its pace; after a while where the backlog was empty; with a full window when the broker can be asked."""
     forwarder = Forwarder(10.0, unpack, window=2)
     forwarder.begin()
     assert forwarder.patience(0.0, 5.0) == 0.0
@@ -173,7 +173,7 @@ def test_it_says_when_it_is_to_be_looked_at_again() -> None:
     assert round(forwarder.patience(0.0, 5.0), 6) == round(0.1 - BURST, 6)
     forwarder.sent(forwarder.next(0.1), lambda: True)
     assert forwarder.is_full
-    assert forwarder.patience(1.0, 5.0) == 5.0
+    assert forwarder.patience(1.0, 5.0) == WHILE_FULL
     assert forwarder.settle() == [], "the first is not there yet"
 
 

@@ -81,6 +81,17 @@ def test_a_reading_is_kept_as_it_is_published() -> None:
     }
 
 
+@pytest.mark.parametrize("bases", [{}, {"rated_current": Decimal(25)}])
+def test_a_reading_is_kept_by_the_base_that_it_was_published_by(bases: dict[str, Decimal]) -> None:
+    """A drive may come back with another one, or without, before the broker is known to be lost."""
+    image = pump()
+    drives.read(image, 1.0, output_current_rate=5000)
+    taken = sampler(image).take(("output_current",), 1.0, drives.WALL + 1.0)
+    assert taken is not None
+    image.bases = bases
+    assert json.loads(taken.written().body)["v"] == {"output_current": "6.25"}
+
+
 def test_what_is_not_worth_publishing_is_not_worth_keeping() -> None:
     """The same deadband and intervals; what had to wait for its turn is kept when it has come."""
     image = pump()
