@@ -75,7 +75,7 @@ class DriveImage:
         return Place(name, segment, offset, mask=point.register.mask, max_age=point.max_age, base=base)
 
     def subscribe(self, listener: Listener) -> None:
-        """Call `listener(image, names)` after each answer; without names where it brought none or the link changed."""
+        """Call `listener(image, names)` after each answer; without names if it brought none or the link changed."""
         self._listeners.append(listener)
 
     def apply(self, words: Iterable[tuple[int, int]], now: float, wall: float) -> None:
