@@ -31,6 +31,7 @@ TURN = 0.000_05  # seconds, after which a turn reads no further client; the gap 
 LASTS = 0.000_15  # seconds, with the writing of the answers; a line's next alarm is not nearer when a turn begins
 ALONE = 2.0  # times the shortest time between two turns: in less, the loop has done nothing else
 FORGETS = 1.02  # by which the shortest one grows with each turn, so that it is one of the last hundred
+LEAST = 1e-7  # seconds; a clock may show the same time twice
 READ_SIZE = 192  # bytes read at once: 16 requests to read, which is what a connection answers in one turn
 HAS_EPOLL = hasattr(select, "epoll")
 IN, OUT, GONE = (select.EPOLLIN, select.EPOLLOUT, select.EPOLLERR | select.EPOLLHUP) if HAS_EPOLL else (1, 4, 24)
@@ -122,7 +123,7 @@ class Turns:
         asking, answers, clock, read = self._asking, self._answers, self._now, os.read
         now = clock()
         since = now - self._ended
-        self._shortest = min(since, self._shortest * FORGETS)
+        self._shortest = max(min(since, self._shortest * FORGETS), LEAST)
         is_free = since <= ALONE * self._shortest and self._next_alarm() - now > LASTS
         end = now + TURN if is_free else now
         ready = iter(self._left or self._epoll.poll(0, READY))

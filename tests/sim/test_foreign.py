@@ -227,9 +227,9 @@ class TestMbpoll:
     def test_it_polls_several_drives_without_a_gap(self, line: SimulatedLine) -> None:
         """The second request follows the first answer at once; where no drive can hear it then, the line says why."""
         line.do({"do": "reset_stats"})
-        done = self.poll(line, "-a", "1,2", "-t", "4", "-r", str(0xFB07), "-o", "0.2")
+        done = self.poll(line, "-a", "1,2", "-t", "4", "-r", str(0xFD00), "-o", "0.2")
         counted = line.stats()
-        assert counted["answers"] == done.stdout.count(f"[{0xFB07}]")
+        assert counted["answers"] == done.stdout.count(f"[{0xFD00}]")
         assert counted["lost"] == 2 - counted["answers"] == counted["gap_violations"] + counted["collisions"]
 
     def test_it_says_what_a_drive_refuses(self, line: SimulatedLine) -> None:
