@@ -73,8 +73,8 @@ class Outgoing:
 
     @property
     def is_empty(self) -> bool:
-        """Say whether all is there."""
-        return not self.waiting
+        """Say whether all is there, also events beside values at QoS 0."""
+        return not self.waiting and not self._in_flight.open
 
     def limit(self, receive_maximum: int, highest_qos: int) -> None:
         """Take how many messages of QoS 1 and 2 the broker takes at a time, and whether it takes such at all."""

@@ -240,9 +240,9 @@ async def test_what_the_broker_must_have_is_acknowledged_beside_values_at_qos_0(
     assert (first(), second(), wire.outgoing.waiting) == (False, False, 1)
     wire.hear(puback(0))
     assert wire.written == reset
-    assert (first(), second(), wire.outgoing.is_empty) == (True, False, True)
+    assert (first(), second(), wire.outgoing.is_empty) == (True, False, False)
     wire.hear(puback(1))
-    assert second()
+    assert (second(), wire.outgoing.is_empty) == (True, True)
 
 
 async def test_a_broker_that_takes_qos_0_alone_is_sent_nothing_else(wires: Callable[..., Wire]) -> None:
