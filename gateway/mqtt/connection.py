@@ -141,13 +141,11 @@ class Connection:
             self._news.set()
 
     def flush_soon(self) -> None:
-        """Write what was sent, now where that is the first time in this turn of the loop, else at its end.
-
-        One reading goes at once, and those of many drives, or of many values one by one, go together.
-        """
-        if not self._socket.is_flushing_soon or self.outgoing.unwritten >= PILED_UP:
+        """Write what was sent: now, or within a millisecond of the last time with what comes by then."""
+        if self.outgoing.unwritten >= PILED_UP:
             self.flush()
-        self._socket.write_soon()
+        else:
+            self._socket.write_in_turn()
 
     def tend(self) -> None:
         """Keep the connection alive, or find that it is not."""

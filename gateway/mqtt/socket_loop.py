@@ -11,6 +11,7 @@ from gateway.mqtt.stream import Stream, TooLarge
 
 READ_AT_ONCE = 8  # packets that are read at a stretch: well below a millisecond, so that no line waits for a flood
 RECEIVED_AT_ONCE = 4096  # bytes: a thousand acknowledgements, which take a millisecond
+TOGETHER = 0.001  # seconds in which readings are collected behind those that went at once
 LARGEST_PACKET = 64 * 1024  # bytes that the broker may send in one packet
 TOO_LARGE = "the broker sent a packet of %d bytes; no command needs more than %d"
 
@@ -59,7 +60,8 @@ class SocketLoop:
         self._may_have_more = False  # whole packets that were received and not read
         self._is_reading_soon = False
         self._is_writing = False
-        self.is_flushing_soon = False  # at the end of this turn of the loop
+        self._is_flushing_soon = self._is_flushing_later = False
+        self._flushed_at = float("-inf")  # by the time of the loop
 
     def attach(self) -> bool:
         """Have the loop watch the socket; False where paho has none any more."""
@@ -135,15 +137,38 @@ class SocketLoop:
 
     # ---- writing
 
+    def write_in_turn(self) -> None:
+        """Have the owner flush: now, or where it just has, a little later with what comes by then.
+
+        One reading goes at once; where they come in thousands a second, each would cost a call of the system.
+        """
+        if self._is_flushing_later:
+            return
+        wait = self._flushed_at + TOGETHER - self._loop.time()
+        if wait <= 0:
+            self._flushed_at = self._loop.time()
+            self._writable()
+        else:
+            self._is_flushing_later = True
+            self._loop.call_later(wait, self._flush_later)
+
+    def _flush_later(self) -> None:
+        self._is_flushing_later = False
+        self._flush()
+
     def write_soon(self) -> None:
         """Have the owner flush when whoever sends has come to an end."""
-        if not self.is_flushing_soon:
-            self.is_flushing_soon = True
-            self._loop.call_soon(self._end_turn)
+        if not self._is_flushing_soon:
+            self._is_flushing_soon = True
+            self._loop.call_soon(self._flush_soon)
 
-    def _end_turn(self) -> None:
-        self.is_flushing_soon = False
+    def _flush_soon(self) -> None:
+        self._is_flushing_soon = False
+        self._flush()
+
+    def _flush(self) -> None:
         if self._owner.has_unwritten:
+            self._flushed_at = self._loop.time()
             self._writable()
 
     def _writable(self) -> None:

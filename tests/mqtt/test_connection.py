@@ -13,7 +13,7 @@ import pytest
 
 from gateway.config import MqttSection
 from gateway.metrics import MqttStats
-from gateway.mqtt import access, client, packets
+from gateway.mqtt import access, client, packets, socket_loop
 from gateway.mqtt.connection import Connection
 from gateway.mqtt.in_flight import FIRST_ID, IN_FLIGHT
 from gateway.mqtt.made import Made
@@ -397,18 +397,30 @@ async def test_a_socket_that_is_full_is_watched_until_it_takes_more(wires: Calla
     assert wire.outgoing.is_empty
 
 
-async def test_one_reading_goes_at_once_and_several_go_together(wires: Callable[..., Wire]) -> None:
-    """Within a turn of the event loop; what comes behind the first goes with its end."""
-    wire = wires(qos=0)
-    for text in ("1", "2", "3"):
+async def test_one_reading_goes_at_once_and_several_go_together(
+    wires: Callable[..., Wire], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What comes shortly behind the first goes a little later, and what is told of a command at once, with it."""
+    monkeypatch.setattr(socket_loop, "TOGETHER", 3600.0)
+    wire, loop = wires(qos=0), asyncio.get_running_loop()
+    later: list[Callable[[], None]] = []
+    monkeypatch.setattr(loop, "call_later", lambda _seconds, call: later.append(call))
+
+    def read(text: str) -> None:
         wire.outgoing.send("t", text, retain=False, expiry=0)
         wire.connection.flush_soon()
+
+    for text in ("1", "2", "3"):
+        read(text)
     assert wire.written == wire.packet("1")
-    await asyncio.sleep(0)
+    (collected,) = later
+    collected()
     assert wire.written == wire.packet("2") + wire.packet("3")
-    wire.outgoing.send("t", "4", retain=False, expiry=0)
-    wire.connection.flush_soon()
-    assert wire.written == wire.packet("4")
+    read("4")
+    wire.outgoing.say("t", "done", expiry=0)
+    assert wire.written == b""
+    await asyncio.sleep(0)
+    assert wire.written == wire.packet("4") + wire.packet("done")
 
 
 # ---- reading
