@@ -53,6 +53,7 @@ def opened(config: SimulatedLineConfig, control: Path | None) -> Iterator[OpenLi
         line = install(config, time.monotonic(), port)
         stack.callback(line.capture, None)
         loop = LineLoop(line.wire, port, config.baud if config.checks_baud else None)
+        loop.started = line.opened  # one beginning for what is counted and for the journal's times
         stack.callback(loop.close)
         controls = Control(line, loop)
         if control is not None:

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import ssl
+import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from decimal import Decimal
 from pathlib import Path
@@ -291,11 +292,10 @@ async def test_a_flood_is_bounded_and_a_stop_gets_through(broker: Mosquitto, ver
 
         async def serve() -> None:
             nonlocal most, longest
-            loop = asyncio.get_running_loop()
             while True:
-                before = loop.time()
+                before = time.process_time()  # what the machine gives to others meanwhile does not count
                 await asyncio.sleep(0)
-                longest = max(longest, loop.time() - before)
+                longest = max(longest, time.process_time() - before)
                 assert made.bridge._listener is not None
                 most = max(most, len(made.bridge._listener._intake._inbox))
 
