@@ -75,7 +75,7 @@ class DriveImage:
         return Place(name, segment, offset, mask=point.register.mask, max_age=point.max_age, base=base)
 
     def subscribe(self, listener: Listener) -> None:
-        """Call `listener(image, names)` after each answer; without names if it brought none or the link changed."""
+        """Call `listener(image, names)` after each answer with values; without names after a change of the link."""
         self._listeners.append(listener)
 
     def apply(self, words: Iterable[tuple[int, int]], now: float, wall: float) -> None:
@@ -106,7 +106,8 @@ class DriveImage:
         if self._turned:
             for name in names:
                 self._turned.pop(name, None)
-        self._tell(names)
+        if names:  # without any it would be told as a change of the link
+            self._tell(names)
 
     def set_link(self, link: LinkState, reason: str = "") -> None:
         """Take the link's state; a lost link ends the freshness of every value for good, however often it is told."""

@@ -11,9 +11,10 @@ import pytest
 from prometheus_client.core import Metric
 
 from gateway import site
-from gateway.broker_certificates import DAY, LOOK_EVERY, Watches, report
+from gateway.broker_certificates import Watches, report
 from gateway.image import Image
 from gateway.metrics import MqttStats, Stats
+from gateway.modbus_tcp.certificate_files import DAY, LOOK_EVERY
 from gateway.site import Site
 from gateway.web import page
 from gateway.web.exposition import families

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from gateway.bus.echo import Listening, LocalEcho
-from gateway.bus.lateness import LateAnswers
+from gateway.bus.lateness import LateAnswers, holds_answer
 from gateway.bus.line import Line
 from gateway.clock import Clock
 from gateway.errors import BadReply, LineDown, NoReply, Refused
@@ -170,7 +170,8 @@ class Exchanger:
         try:
             return await self._behind_echo(listening, codec, request, begun, sent, processing)
         finally:
-            self._learn(listening, lambda: _is_copied(codec, request, frame))
+            # as for MODBUS-RTU 06H, whose answer cannot be told from the echo of its request
+            self._learn(listening, lambda: holds_answer(codec, request, frame))
 
     async def _behind_echo(
         self, listening: Listening, codec: Codec, request: Request, begun: float, sent: float, processing: float
@@ -264,14 +265,3 @@ class Exchanger:
         if self._line.may_be_simulated and not self._was_on_time and self._early >= UNTIMED_AFTER:
             self._is_untimed = True
         return self._is_untimed
-
-
-def _is_copied(codec: Codec, request: Request, frame: bytes) -> bool:
-    """Say whether a copy of a request is an answer to it, as for MODBUS-RTU 06H: it cannot be told from its echo."""
-    decoder = codec.decoder(request)
-    decoder.feed(frame)
-    decoder.feed(b"")
-    try:
-        return decoder.next_reply() is not None
-    except Refused:
-        return True

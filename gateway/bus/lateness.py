@@ -30,7 +30,7 @@ class LateAnswers:
         for number, (codec, request, sent) in list(self._missed.items() if data else ()):
             if ended - sent > LONGEST:
                 del self._missed[number]
-            elif _is_answer(codec, request, data):
+            elif holds_answer(codec, request, data):
                 self._late[number] = ended - sent
                 del self._missed[number]
 
@@ -48,7 +48,7 @@ class LateAnswers:
         return f" in time; one came after {late * 1000:.0f} ms: {remedy}"
 
 
-def _is_answer(codec: Codec, request: Request, data: bytes) -> bool:
+def holds_answer(codec: Codec, request: Request, data: bytes) -> bool:
     """Say whether bytes hold an answer to a request, or its refusal."""
     decoder = codec.decoder(request)
     decoder.feed(data)

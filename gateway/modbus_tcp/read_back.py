@@ -44,7 +44,6 @@ class CommandedUnit:
         self._polled = frozenset(point.register.address for point in image.points.values())
         self._commanded = frozenset(register.address for register in commanded_registers(self._drive))
         self._words: dict[int, tuple[int, float]] = {}  # word, and until when it holds
-        self._seen = (image.link, image.is_tripped)
         door.on_result(self.learn)
         door.on_event(self._on_event)
         image.subscribe(self._on_image)
@@ -103,12 +102,7 @@ class CommandedUnit:
         if drive == self._drive.name and event not in HARMLESS:
             self._words.clear()
 
-    def _on_image(self, image: DriveImage, _names: Sequence[str]) -> None:
-        """Forget all when the link, or whether the drive is tripped, has changed.
-
-        An answer that brings no value of the image says nothing of either: the gateway looks after armed drives so.
-        """
-        seen = (image.link, image.is_tripped)
-        if seen != self._seen:
-            self._seen = seen
+    def _on_image(self, _image: DriveImage, names: Sequence[str]) -> None:
+        """Forget all when the link, or whether the drive is tripped, has changed."""
+        if not names:
             self._words.clear()

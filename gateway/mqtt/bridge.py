@@ -23,7 +23,8 @@ from gateway.mqtt.listener import FORGET, Listener
 from gateway.mqtt.message import Message
 from gateway.mqtt.missed import Missed
 from gateway.mqtt.outgoing import Outgoing
-from gateway.mqtt.publisher import PER_VALUE, Publisher
+from gateway.mqtt.outlet import PER_VALUE
+from gateway.mqtt.publisher import Publisher
 from gateway.mqtt.uplink import Uplink
 
 STEPS = 4  # owed values sent at a stretch: some 0.2 ms, so that a line's timing does not suffer

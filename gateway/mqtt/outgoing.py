@@ -15,8 +15,8 @@ from gateway.metrics import MqttStats
 from gateway.mqtt import packets
 from gateway.mqtt.in_flight import IN_FLIGHT, InFlight
 from gateway.mqtt.made import Made, Terms
+from gateway.mqtt.outlet import FOR_EVER
 from gateway.mqtt.packets import Batch
-from gateway.mqtt.publisher import FOR_EVER
 
 NO_PROPERTIES = b"\x00"  # MQTT 5
 LARGEST_OVERHEAD = 32  # bytes of a PUBLISH beside topic and payload

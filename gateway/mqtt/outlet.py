@@ -84,7 +84,6 @@ class Outlet:
         self._owes_standing = False
         self._standing: tuple[object, ...] | None = None  # of control, of which the text below is made
         self._standing_text = ""
-        self._linked = _linked(image)
         self._said: dict[str, str] = {}  # topic -> what the broker was last told of all but values
 
     def _expiry_of(self, name: str, policy: Policy) -> int:
@@ -128,13 +127,9 @@ class Outlet:
 
     def tell(self, wire: Wire, names: Sequence[str], now: float) -> None:
         """Send what is news after an answer, or, without names, after a change of the link."""
-        image = self.image
         if names:
-            self._tell_values(wire, names, now, are_good=now <= image.good_until)
+            self._tell_values(wire, names, now, are_good=now <= self.image.good_until)
             return
-        before, self._linked = self._linked, _linked(image)
-        if before == self._linked:
-            return  # an answer that brought no value of the image
         self._owes_standing = True
         self._settle_standing(wire)
         self._owes_state |= self._state is not None and self.image.version > 0
@@ -255,8 +250,3 @@ class Outlet:
             self._send_value(wire, self._values[name], word, payload.left_behind(quality), now)
         if self._state is not None:
             self._send_state(wire, self._state.write(now, is_leaving=True), now)
-
-
-def _linked(image: DriveImage) -> tuple[object, ...]:
-    """Return all but values of which listeners are told."""
-    return image.link, image.is_tripped, image.is_reset_needed

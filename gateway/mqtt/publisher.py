@@ -17,8 +17,6 @@ from gateway.mqtt.discovery import Discovery
 from gateway.mqtt.message import Message
 from gateway.mqtt.outlet import FOR_EVER, PER_VALUE, Outlet, Wire
 
-__all__ = ["FOR_EVER", "PER_VALUE", "Publisher", "Wire"]
-
 
 class Publisher:
     """All drives of a gateway on their way to one broker."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from decimal import Decimal
 
 from gateway.drives.scaling import WORD, Scaling
-from gateway.image import DriveImage, Quality, Sample
+from gateway.image import DriveImage, Quality
 from gateway.mqtt.filters import Policy
 
 Moved = Callable[[int, int], bool]
@@ -71,21 +71,9 @@ class Report:
             name: Said(name, policy, _moved(image, name, policy), self._held) for name, policy in policies.items()
         }
 
-    def is_due(self, name: str, sample: Sample, now: float) -> bool:
-        """Say whether a reading is to be published."""
-        return self.values[name].is_due(sample.word, sample.quality, now)
-
-    def has_turned(self, name: str, quality: Quality) -> bool:
-        """Say whether the quality is another than the one that was published."""
-        return self.values[name].quality is not quality
-
     def released(self, now: float) -> list[str]:
         """Return the values that were held and need not wait any longer; most often none."""
         return [name for name, said in self._held.items() if said.is_released(now)] if self._held else []
-
-    def note(self, name: str, sample: Sample, now: float) -> None:
-        """Remember a value as published."""
-        self.values[name].note(sample.word, sample.quality, now)
 
 
 def _moved(image: DriveImage, name: str, policy: Policy) -> Moved | None:

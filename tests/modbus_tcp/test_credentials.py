@@ -19,7 +19,8 @@ from gateway.clock import Clock
 from gateway.config import ModbusTlsSection
 from gateway.errors import BadConfig, LineDown
 from gateway.metrics import TcpStats
-from gateway.modbus_tcp.credentials import LOOK_EVERY, Keyring, load, report
+from gateway.modbus_tcp.certificate_files import LOOK_EVERY
+from gateway.modbus_tcp.credentials import Keyring, load, report
 from tests.modbus_tcp.certificates import SERVER_AUTH, Authority, Key, address, openssl, role, usage
 from tests.modbus_tcp.rig import until
 from tests.modbus_tcp.secured import MovableClock, Pki, client, refused, serving

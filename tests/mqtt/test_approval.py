@@ -13,7 +13,8 @@ from pathlib import Path
 from gateway.config import MqttSection
 from gateway.image import LinkState
 from gateway.metrics import MqttStats
-from gateway.mqtt.publisher import PER_VALUE, Publisher
+from gateway.mqtt.outlet import PER_VALUE
+from gateway.mqtt.publisher import Publisher
 from tests.mqtt import drives
 
 APPROVED = Path(__file__).with_name("approved_messages.txt")

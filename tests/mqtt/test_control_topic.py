@@ -11,7 +11,8 @@ from gateway.control.command import Channel, Command, Result, Source, Verb
 from gateway.control.door import Door
 from gateway.image import Image
 from gateway.metrics import MqttStats
-from gateway.mqtt.publisher import PER_VALUE, Publisher
+from gateway.mqtt.outlet import PER_VALUE
+from gateway.mqtt.publisher import Publisher
 from tests.mqtt.doors import DIRECT, LEASED, READ_ONLY, StandingClock, small_site
 from tests.mqtt.rig import section
 from tests.mqtt.test_publisher import Broker

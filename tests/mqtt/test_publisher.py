@@ -15,7 +15,8 @@ from gateway.config import MqttSection
 from gateway.image import DriveImage, Image, LinkState
 from gateway.metrics import MqttStats
 from gateway.mqtt import outcome, payload
-from gateway.mqtt.publisher import FOR_EVER, PER_VALUE, Publisher
+from gateway.mqtt.outlet import FOR_EVER, PER_VALUE
+from gateway.mqtt.publisher import Publisher
 from tests.mqtt import drives
 
 ROOT = "tosvert/hall-3/pump-1"

@@ -43,10 +43,11 @@ class Reported:
         due = set()
         for name in names:
             sample = self.image.sample(name, now)
-            if self.report.is_due(name, sample, now):
+            said = self.report.values[name]
+            if said.is_due(sample.word, sample.quality, now):
                 due.add(name)
                 self.said[name] = sample.word
-                self.report.note(name, sample, now)
+                said.note(sample.word, sample.quality, now)
         return due
 
 
@@ -109,7 +110,7 @@ def test_a_quality_that_changes_is_due_whatever_the_number() -> None:
     assert drive.offer(drives.MAX_AGE + 0.2, "output_frequency") == set()
     assert drive.read(2.0, output_frequency=6000) == {"output_frequency"}
     drive.image.set_link(LinkState.OFFLINE)
-    assert drive.report.has_turned("output_frequency", Quality.OFFLINE)
+    assert drive.report.values["output_frequency"].quality is Quality.GOOD  # which was published
     assert drive.offer(2.0, "output_frequency") == {"output_frequency"}
 
 
@@ -123,9 +124,9 @@ def test_what_was_not_said_stays_due() -> None:
     """Only what is noted counts as said."""
     drive = Reported()
     drives.read(drive.image, 0.0, output_frequency=6000)
-    sample = drive.image.sample("output_frequency", 0.0)
-    assert drive.report.is_due("output_frequency", sample, 0.0)
-    assert drive.report.is_due("output_frequency", sample, 0.0)
+    said = drive.report.values["output_frequency"]
+    assert said.is_due(6000, Quality.GOOD, 0.0)
+    assert said.is_due(6000, Quality.GOOD, 0.0)
 
 
 @pytest.mark.parametrize("name", ["output_frequency", "torque"])
